@@ -27,7 +27,7 @@ UNITS = {
     "_rad_s": "rad/s",
     "_kv": "kV",
 }
-_TABLES_OF_ROWS = ("buses", "branches", "shunts", "loads", "machines")
+_TABLES_OF_ROWS = ("buses", "branches", "shunts", "loads", "machines", "svcs")
 #: row of a table -> the field that the key of the row gives
 _ROW_IDS = {"Bus": "number", "Branch": "name", "Shunt": "name", "Load": "name", "Machine": "name"}
 #: fields that are no keys of the file

@@ -43,6 +43,7 @@ _LASTING = {
     "branch_trip",
     "branch_reclose",
     "machine_trip",
+    "device_trip",
     "shunt_switch",
     "frequency_shed",
     "frequency_trip",

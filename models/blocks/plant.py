@@ -18,11 +18,12 @@ from ..case.tables import SOLVER_STEP_S
 from ..devices.document import devices_html
 from ..devices.emit import decisions
 from ..devices.header import devices_file, signature
-from ..devices.language.device import NO_LIMIT
+from ..devices.language.device import AT_BUS, NO_LIMIT
 from ..devices.language.structure import Model
 from ..devices.library import devices_with
 from ..grid.bus_devices import port_rest, port_table
 from ..grid.control_tables import Group, Parameter
+from ..grid.coupling import device_ports
 from ..grid.equilibrium import OperatingPoint, operating_point
 from ..grid.machine_tables import in_plant_order, machine_table
 from ..grid.network import load_power
@@ -138,7 +139,8 @@ def plant_block(
 ) -> Block:
     """Return the plant of `case` as a block with `event_slots` slots for events, after those of its own.
 
-    Inputs `G1_vs` .. (pu, at the exciter's summing point); outputs per machine `G1_dw` (pu speed deviation),
+    Inputs `G1_vs` .. (pu, at the exciter's summing point), then `svc1.v_mod` .. of devices at buses;
+    outputs per machine `G1_dw` (pu speed deviation),
     `G1_delta` (rad, against the centre of inertia), `G1_pe` (pu on the base of the case), `G1_vt` (pu), then
     `tie_p`; locals: bus voltages, field voltages, mechanical powers; parameters: gains, times and limits
     of the controls, which keep the equilibrium, `solver.step` (start: the case's `solver_step_s`, else
@@ -261,7 +263,10 @@ def has_sparse_network(case: Case, point: OperatingPoint) -> bool:
 def _ports_and_pattern(
     case: Case, point: OperatingPoint, network: Form | None = None
 ) -> tuple[npt.NDArray[np.float64], SparsePattern | None]:
-    ports = port_table(case, point.load_volts, list(range(len(case.machines))), list(point.gaps))
+    at_buses = point.controls.at_buses
+    couplings = [(d.word, d.coupling()) for d in at_buses]
+    devices = device_ports(case, couplings, point.state_names, [d.rest.output for d in at_buses])
+    ports = port_table(case, point.load_volts, list(range(len(case.machines))), list(point.gaps), devices)
     return ports, network_pattern(case, ports, network)
 
 
@@ -273,28 +278,29 @@ def _data(
     shown: Sequence[Shown],
     network: Form | None,
 ) -> dict[str, Any]:
-    seen = shown_tables(case, shown)
+    ports, pattern = _ports_and_pattern(case, point, network)
+    seen = shown_tables(case, shown, ports)
     ties = len(case.tie.branches) if case.tie else 0
     sixth = sum(m.model == "round_rotor" for m in case.machines)
     counts = [len(case.machines), sixth, len(case.buses), len(case.branches), len(case.loads)]
     groups = point.controls.running()
-    before = sum(group.devices[0].word != "exciter" for group, _ in groups)
+    after = ("exciter", *AT_BUS)  # these take inputs
+    before = sum(group.devices[0].word not in after for group, _ in groups)
     counts += [len(groups), before, ties, slots]
-    ports, pattern = _ports_and_pattern(case, point, network)
     counts += [len(case.shunts), len(parameters), len(ports)]
     if pattern is None:
         counts += [0, 0, 0, 0]
     else:
         reduced = is_reduced(pattern, len(case.machines), len(ports), network)
         counts += [len(pattern.row), pattern.fill, pattern.first, int(reduced)]
-    counts.append(len(seen["tie.branch"]) - ties)
+    counts += [len(seen["tie.branch"]) - ties, len(case.svcs)]
     arrays: dict[str, Any] = {
         "plant.counts": _int(counts),
         "plant.base": np.array([case.omega_b, case.base_mva]),
         "machine.table": machine_table(case, point.machines),
         "bus.names": _lines(str(b.number) for b in case.buses),
         "branch.names": _lines(b.name for b in case.branches),
-        "machine.names": _lines(m.name for m in case.machines),
+        "machine.names": _lines(case.places),
         "port.table": ports,
         "port.rest": port_rest(
             case, point.power_flow.voltages, point.gaps, [m.delta for m in point.machines]
@@ -316,7 +322,7 @@ def _states_of_outputs(case: Case, point: OperatingPoint, shown: Sequence[Shown]
 
 
 def _machine_of_states(case: Case, point: OperatingPoint) -> list[int]:
-    position = {m.name: k for k, m in enumerate(case.machines)}
+    position = {name: k for k, name in enumerate(case.places)}
     return [position[name.split(".")[0]] for name in point.state_names]
 
 
@@ -331,10 +337,10 @@ def _group_arrays(
         "group.count": _int(len(group.devices) for group, _ in groups),
         "group.has": _int(group.has for group, _ in groups),
         "group.state": _int(first + place for _, place in groups),
-        "device.machine": _int(d.machine for group, _ in groups for d in group.devices),
+        "device.machine": _int(d.place for group, _ in groups for d in group.devices),
         "device.table": np.concatenate(provided) if provided else np.zeros(0),
         "device.signature": _int([signature(own.values())]),
-        "input.machine": _int(d.machine for d in point.controls.of("exciter")),
+        "input.machine": _int(d.place for d in point.controls.inputs),
         "machine.rest": point.controls.seen,
         "state.rest": point.x0,
     }
@@ -356,6 +362,7 @@ _ACTS_ON = {
     "machine": ("machines", "vref_pulse, pm_pulse, machine_trip, frequency_trip"),
     "load": ("loads", "load_step, frequency_shed"),
     "shunt": ("shunts", "shunt_switch"),
+    "device": ("svcs", "device_trip"),
 }
 
 

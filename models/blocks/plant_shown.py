@@ -11,13 +11,14 @@ import numpy as np
 import numpy.typing as npt
 
 from ..case.case import Case, CaseError
+from ..grid.bus_devices import DEVICE
 from ..grid.machine_tables import network_states
 from .variables import Variable
 
 #: ShowKind of plant/numbers/layout.h
 KINDS = (
     *("dw", "delta", "pe", "vt", "tie", "bus_v", "efd", "pm", "line_p", "line_q"),
-    *("line_i", "bus_angle", "bus_re", "bus_im"),
+    *("line_i", "bus_angle", "bus_re", "bus_im", "device_q"),
 )
 MOST_MACHINES = 100  #: of a grid that shows everything unless told otherwise
 #: names of states that outputs which see the network may list altogether, since in FMI an output that lists
@@ -54,7 +55,7 @@ def shown_of(case: Case, patterns: Sequence[str] | None = None, more: Sequence[s
     large = len(case.machines) > MOST_MACHINES
     unasked = ("dw", "pe") if shows_powers(case) else ("dw",)
     machines = [s for s in _of_machines(case) if not large or s.kind in unasked]
-    outputs, provided = [*machines, *_of_tie(case)], [] if large else _locals(case)
+    outputs, provided = [*machines, *_of_tie(case), *_of_svcs(case)], [] if large else _locals(case)
     if more:
         named = {s.variable.name for s in outputs}
         outputs += [s for s in _outputs(case, more) if s.variable.name not in named]
@@ -85,7 +86,7 @@ def shown_names(case: Case) -> list[str]:
 
 
 def _every_output(case: Case) -> list[Shown]:
-    return [*_of_machines(case), *_of_tie(case), *_of_buses(case), *_of_branches(case)]
+    return [*_of_machines(case), *_of_tie(case), *_of_svcs(case), *_of_buses(case), *_of_branches(case)]
 
 
 def _outputs(case: Case, patterns: Sequence[str]) -> list[Shown]:
@@ -109,8 +110,13 @@ def _matching(case: Case, pattern: str, names: list[str]) -> set[str]:
     return matches
 
 
-def shown_tables(case: Case, shown: Sequence[Shown]) -> dict[str, npt.NDArray[np.int32]]:
-    """Return the arrays of the record that say what is shown: ties, lines, then each variable."""
+def shown_tables(
+    case: Case, shown: Sequence[Shown], ports: npt.NDArray[np.float64]
+) -> dict[str, npt.NDArray[np.int32]]:
+    """Return the arrays of the record that say what is shown: ties, lines, then each variable.
+
+    ports : table of the ports, where the reactive power of a device at a bus is found.
+    """
     number = {b.name: k for k, b in enumerate(case.branches)}
     tie, ends = [], []
     if case.tie is not None:
@@ -118,7 +124,12 @@ def shown_tables(case: Case, shown: Sequence[Shown]) -> dict[str, npt.NDArray[np
         ends = [int(case.branches[k].from_bus != case.tie.from_bus) for k in tie]
     lines = sorted({s.of for s in shown if s.kind.startswith("line_")})
     row = {k: place for place, k in enumerate(lines)}
-    of = [row[s.of] if s.kind.startswith("line_") else s.of for s in shown]
+    port: dict[int, int] = {}
+    for place, (kind, device) in enumerate(ports[:, :2].astype(int)):
+        if kind == DEVICE:
+            port.setdefault(device, place)  # a second one sees a voltage only
+    rows = {"device_q": port} | dict.fromkeys((k for k in KINDS if k.startswith("line_")), row)
+    of = [rows[s.kind][s.of] if s.kind in rows else s.of for s in shown]
     return {
         "tie.branch": np.array([*tie, *lines], dtype=np.int32),
         "tie.end": np.array([*ends, *[0] * len(lines)], dtype=np.int32),
@@ -145,6 +156,14 @@ def _of_tie(case: Case) -> Iterator[Shown]:
         return
     text = f"active power from bus {case.tie.from_bus} over {', '.join(case.tie.branches)}, base of the case"
     yield _output("tie_p", text, tuple(sorted(network_states(case))), "tie")
+
+
+def _of_svcs(case: Case) -> Iterator[Shown]:
+    network = tuple(sorted(network_states(case)))
+    for k, svc in enumerate(case.svcs):
+        yield _output(
+            f"{svc.name}.q", "reactive power into the network, base of the case", network, "device_q", k
+        )
 
 
 def _of_branches(case: Case) -> Iterator[Shown]:

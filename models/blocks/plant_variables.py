@@ -23,6 +23,7 @@ EVENT_CODES = {
     "shunt_switch": 8,
     "frequency_shed": 9,
     "frequency_trip": 10,
+    "device_trip": 11,
 }
 _EVENT_WORDS = {
     "none": "slot not in use",
@@ -36,6 +37,7 @@ _EVENT_WORDS = {
     "shunt_switch": "shunt switched in (size = 1) or out (size = 0), back at end",
     "frequency_shed": "a frequency relay adds size + j size_q (below 0) to a load, in use from start to end",
     "frequency_trip": "a frequency relay disconnects a machine, in use from start to end",
+    "device_trip": "SVC or STATCOM disconnected at start",
 }
 #: names of states that derivatives list altogether; beyond, those that see the network list nothing, which in
 #: FMI says that they may depend on everything
@@ -75,9 +77,16 @@ def state_variables(point: OperatingPoint) -> list[Variable]:
 
 
 def input_variables(point: OperatingPoint) -> list[Variable]:
-    """Return the inputs, one for each exciter."""
+    """Return the inputs, one for each exciter and each device at a bus."""
+    words = {name: f"added to the voltage set-point of {name[:-6]}" for name in point.input_names}
     return [
-        Variable(name, "input", "added at the exciter's summing point", unit="pu", start=0.0)
+        Variable(
+            name,
+            "input",
+            words[name] if name.endswith(".v_mod") else "added at the exciter's summing point",
+            unit="pu",
+            start=0.0,
+        )
         for name in point.input_names
     ]
 
@@ -131,7 +140,8 @@ def event_variables(slots: int, provided: Mapping[str, float | int]) -> list[Var
             )
         )
         text = (
-            "number of the bus, branch, machine, load or shunt in the case, from 1; classical machines last"
+            "number of the bus, branch, machine, load, shunt or device at a bus in the case, from 1; "
+            "classical machines last"
         )
         name = f"event[{k}].target"
         target = provided.get(name, 1)

@@ -72,8 +72,9 @@ class Case(CaseTables):
         del content["swing"]  # how a run is judged, nothing that the grid does
         if self.solver_step_s is None:
             del content["solver_step_s"]
-        if not self.devices:
-            del content["devices"]
+        for late in ("devices", "svcs"):  # tables that earlier cases did not have
+            if not content[late]:
+                del content[late]
         text = json.dumps(content, sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
@@ -90,6 +91,8 @@ class Case(CaseTables):
         if self.swing is not None:
             raw["swing"] = list(self.swing)
         for table, key in ROW_TABLES.items():
+            if table == "svcs" and not self.svcs:
+                continue
             short = table != "machines"
             dumped = [
                 row.model_dump(by_alias=True, exclude_none=True, exclude_defaults=short)

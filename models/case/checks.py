@@ -15,13 +15,14 @@ if TYPE_CHECKING:  # names are looked up in an `outline` too, before pydantic's 
 
 def check_whole(case: CaseTables) -> None:
     """Check ids, references, slack and connection of `case`; ValueError with one line otherwise."""
-    for table in ("buses", "branches", "shunts", "loads", "machines"):
+    for table in ("buses", "branches", "shunts", "loads", "machines", "svcs"):
         ids = [str(row.number if table == "buses" else row.name) for row in getattr(case, table)]
         twice = [key for key, count in Counter(ids).items() if count > 1]
         if twice:
             raise ValueError(f"{table}: id {twice[0]!r} is given twice, allowed: once")
     _check_references(case)
     _check_voltages(case)
+    _check_svcs(case)
     _check_slacks(case)
     machines = [m.name for m in case.machines]
     for name in case.swing or ():
@@ -38,9 +39,11 @@ def _check_references(case: CaseTables) -> None:
             _bus(number, f"branches.{branch.name}.{key}", known)
         if branch.from_bus == branch.to_bus:
             raise ValueError(f"branches.{branch.name}: from = to = {branch.to_bus}, allowed: two buses")
-    for table in ("shunts", "loads", "machines"):
+    for table in ("shunts", "loads", "machines", "svcs"):
         for row in getattr(case, table):
             _bus(row.bus, f"{table}.{row.name}.bus", known)
+    for svc in case.svcs:
+        _bus(svc.seen_bus, f"svcs.{svc.name}.regulates", known)
     if case.tie is None:
         return
     branches = {b.name: b for b in case.branches}
@@ -68,6 +71,27 @@ def _check_voltages(case: CaseTables) -> None:
                     f"machines.{other.name}.V_pu = {other.V_pu:g} but {at_bus[0].name} at the same bus {bus} "
                     f"has {at_bus[0].V_pu:g}, allowed: one voltage per bus"
                 )
+
+
+def _check_svcs(case: CaseTables) -> None:
+    machines = {m.name: m.bus for m in case.machines}
+    held: dict[int, Any] = {}
+    for svc in case.svcs:
+        if svc.name in machines:
+            raise ValueError(f"svcs.{svc.name}: a machine has that name too, allowed: another name")
+        if svc.V_pu is None:
+            continue
+        if svc.bus in machines.values():
+            raise ValueError(
+                f"svcs.{svc.name}.V_pu = {svc.V_pu:g}: a machine holds the voltage of bus {svc.bus}, "
+                "allowed: Q_mvar in its place"
+            )
+        other = held.setdefault(svc.bus, svc)
+        if other.V_pu != svc.V_pu:
+            raise ValueError(
+                f"svcs.{svc.name}.V_pu = {svc.V_pu:g} but {other.name} at the same bus {svc.bus} has "
+                f"{other.V_pu:g}, allowed: one voltage per bus"
+            )
 
 
 def islands_of(case: CaseTables) -> list[set[int]]:
@@ -165,8 +189,9 @@ def target_index(case: CaseTables, event: Any) -> int:
                 f"{case.name}: {event.kind}: bus {event.bus} does not exist; {nearest(event.bus, numbers)}"
             )
         return numbers.index(event.bus)
-    table = next(t for t in ("branch", "machine", "load", "shunt") if hasattr(event, t))
-    names = [row.name for row in getattr(case, "branches" if table == "branch" else f"{table}s")]
+    table = next(t for t in ("branch", "machine", "load", "shunt", "device") if hasattr(event, t))
+    tables = {"branch": "branches", "device": "svcs"}
+    names = [row.name for row in getattr(case, tables.get(table, f"{table}s"))]
     name = getattr(event, table)
     if name not in names:
         raise CaseError(f"{case.name}: {event.kind}: {table} {name!r} does not exist; {nearest(name, names)}")

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator, ConfigDict, Field, ValidationInfo
 from pydantic_core import PydanticCustomError
 
+from ..devices.language.device import AT_BUS
 from ..devices.language.structure import Model
 from ..devices.library import NONE, device_model
 from ..devices.rows import numbers_of, row_of
@@ -76,7 +77,8 @@ def _control(word: str, kind: str | None) -> Any:
         try:
             if not isinstance(chosen, str):
                 raise DeviceError(f"{word} {chosen!r} does not exist")
-            return rest | row_of(device_model(chosen, word, info.context or NONE).device, provided)
+            kinds = AT_BUS if word in AT_BUS else word
+            return rest | row_of(device_model(chosen, kinds, info.context or NONE).device, provided)
         except DeviceError as error:
             text = str(error)
             text = text if text[0] in ".:" else f".kind: {text}"
@@ -88,4 +90,6 @@ def _control(word: str, kind: str | None) -> Any:
 Exciter = Annotated[Control, _control("exciter", None)]
 Governor = Annotated[Control, _control("governor", None)]
 Stabilizer = Annotated[Control, _control("stabilizer", "speed")]
+#: of a device at a bus
+BusControl = Annotated[Control, _control("svc", None)]
 Compensator = Annotated[Control, _control("compensator", None)]

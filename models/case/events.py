@@ -168,6 +168,13 @@ class MachineTrip(_Event):
     machine: Target  #: name of the machine
 
 
+class DeviceTrip(_Event):
+    """`device`, an SVC or STATCOM, is disconnected from its bus at `start_s`."""
+
+    kind: Literal["device_trip"] = "device_trip"
+    device: Target  #: name of the SVC or STATCOM
+
+
 class ShuntSwitch(_Lasting):
     """`shunt` is switched out (`to = "out"`) or in at `start_s`, and back at `end_s` when that is given."""
 
@@ -220,6 +227,7 @@ Event = Annotated[
     | PmStep
     | LoadStep
     | MachineTrip
+    | DeviceTrip
     | ShuntSwitch
     | FrequencyShed
     | FrequencyTrip,
@@ -236,6 +244,7 @@ EVENT_KINDS = (
     "pm_step",
     "load_step",
     "machine_trip",
+    "device_trip",
     "shunt_switch",
     "frequency_shed",
     "frequency_trip",

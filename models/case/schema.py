@@ -14,6 +14,7 @@ from pydantic import Field, model_validator
 
 from ..devices.language.expression import scaled_quadratic
 from .control_schema import (
+    BusControl,
     Compensator,
     Control,
     Exciter,
@@ -311,6 +312,38 @@ class Machine(Row):
         if value is None:
             raise ValueError(f"machines.{self.name}.{key} is not given (model {self.model})")
         return float(value)
+
+
+class Svc(Row):
+    """A static var compensator or STATCOM: reactive power at a bus that its control moves.
+
+    In the power flow it holds `V_pu` at its bus or gives `Q_mvar`; P is 0. The control rests at what that
+    gives: a susceptance (kind svc) or a current (statcom), per unit on `base_mva`, capacitive above 0.
+    """
+
+    name: Annotated[str, Field(strict=True, max_length=64, pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]  #: its id
+    bus: BusNumber  #: number of its bus
+    regulates: BusNumber | None = None  #: number of the bus whose voltage it sees; None: its own
+    base_mva: Positive  #: base of its per-unit values
+    V_pu: Positive | None = None  #: voltage that the power flow holds at its bus; None: it gives `Q_mvar`
+    Q_mvar: Number = 0.0  #: into the network, where no `V_pu` is given
+    control: BusControl  #: device and its values
+
+    @model_validator(mode="after")
+    def _one_start(self) -> Self:
+        if self.V_pu is not None and "Q_mvar" in self.model_fields_set and self.Q_mvar:
+            raise ValueError(f"V_pu = {self.V_pu:g} and Q_mvar = {self.Q_mvar:g}, allowed: one of them")
+        if self.V_pu is not None and self.seen_bus != self.bus:
+            raise ValueError(
+                f"V_pu at bus {self.bus}, regulates = {self.regulates}, allowed: Q_mvar where it regulates "
+                "another bus than its own"
+            )
+        return self
+
+    @property
+    def seen_bus(self) -> int:
+        """Number of the bus whose voltage it regulates."""
+        return self.bus if self.regulates is None else self.regulates
 
 
 class Tie(Row):

@@ -9,14 +9,14 @@ from typing import Annotated, TypeVar
 
 from pydantic import ConfigDict, Field
 
-from ..devices.language.device import KINDS
+from ..devices.language.device import OF_MACHINE
 from ..devices.language.structure import Model
 from ..devices.library import own_models
 from ..errors import CaseError, nearest
 from ..table import Table, Title
 from .control_schema import BARE, Positive
 from .events import Event
-from .schema import Branch, Bus, Load, Machine, Shunt, Tie
+from .schema import Branch, Bus, Load, Machine, Shunt, Svc, Tie
 
 Named = TypeVar("Named", Branch, Load, Machine, Shunt)
 
@@ -45,6 +45,7 @@ class CaseTables(Table):
     shunts: tuple[Shunt, ...] = ()  #: by name
     loads: tuple[Load, ...] = ()  #: by name
     machines: Annotated[tuple[Machine, ...], Field(min_length=1)]  #: by name
+    svcs: tuple[Svc, ...] = ()  #: static var compensators and STATCOMs by name
     tie: Tie | None = None  #: the cut whose flow operating points move
     events: tuple[Event, ...] = Field(
         default=(), alias="event"
@@ -59,6 +60,11 @@ class CaseTables(Table):
     def areas(self) -> dict[str, int]:
         """Area of each machine."""
         return {m.name: m.area for m in self.machines}
+
+    @property
+    def places(self) -> tuple[str, ...]:
+        """Names of the machines, then of the devices at buses: where devices have their signals."""
+        return (*(m.name for m in self.machines), *(s.name for s in self.svcs))
 
     @property
     def slack(self) -> Machine:
@@ -77,9 +83,10 @@ class CaseTables(Table):
 
     @property
     def device_keys(self) -> set[str]:
-        """Keys of the devices that the machines have."""
-        controls = ((word, getattr(m, word)) for m in self.machines for word in KINDS)
-        return {c.kind for word, c in controls if c is not None and c.kind != BARE.get(word)}
+        """Keys of the devices that machines and buses have."""
+        controls = ((word, getattr(m, word)) for m in self.machines for word in OF_MACHINE)
+        of_machines = {c.kind for word, c in controls if c is not None and c.kind != BARE.get(word)}
+        return of_machines | {s.control.kind for s in self.svcs}
 
     def machine(self, name: str) -> Machine:
         """Return machine `name`; CaseError with the nearest names when there is none."""

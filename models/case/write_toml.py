@@ -36,7 +36,7 @@ def export_toml(case: Case, path: str | Path | None = None) -> str:
     ]
     lines += _devices(document.get("devices", {}))
     for table in ROW_TABLES:
-        rows = dict(document[table])
+        rows = dict(document.get(table, {}))
         if not rows:
             continue
         lines += ["", f"[{table}]"]

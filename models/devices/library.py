@@ -45,17 +45,19 @@ def devices_with(own: Mapping[str, Model]) -> dict[str, Model]:
     return library() | dict(own)
 
 
-def device_model(key: str, kind: str, own: Mapping[str, Model]) -> Model:
-    """Return a device of the package or of a user.
+def device_model(key: str, kind: str | tuple[str, ...], own: Mapping[str, Model]) -> Model:
+    """Return a device of the package or of a user, of one kind or of one of several.
 
     Raises
     ------
     DeviceError : there is none of that key and kind; with the nearest ones.
     """
     model = own.get(key) or (_packaged(key) if key in _files() else None)  # one file, not all
-    if model is None or model.device.kind != kind:
-        known = [*(k for k, m in own.items() if m.device.kind == kind), *keys_of(kind)]
-        raise DeviceError(f"{kind} {key!r} does not exist; {nearest(key, known)}")
+    kinds = (kind,) if isinstance(kind, str) else kind
+    if model is None or model.device.kind not in kinds:
+        known = [k for k, m in own.items() if m.device.kind in kinds]
+        known += [k for one in kinds for k in keys_of(one)]
+        raise DeviceError(f"{kinds[0]} {key!r} does not exist; {nearest(key, known)}")
     return model
 
 

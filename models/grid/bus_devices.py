@@ -1,4 +1,6 @@
-"""Ports of the C plant: loads that are not constant impedance, machines that saturate or have X''d != X''q.
+"""Ports of the C plant: loads that are not constant impedance, devices at buses, machines with a port.
+
+These saturate or have X''d != X''q.
 
 A port is where a nonlinear element meets the linear network (plant/network/port.h); rows as `P_*` of
 plant/numbers/layout.h.
@@ -15,10 +17,11 @@ import numpy.typing as npt
 
 from ..case.case import Case
 from ..case.schema import Load, Machine, Saturation
+from .coupling import device_port_buses
 from .network import load_power
 
 ROWS = 18
-LOAD, MACHINE = 1, 2
+LOAD, MACHINE, DEVICE = 1, 2, 3
 LOWEST_PU = {"current": 0.5, "power": 0.7}  #: below, such a share of a load is constant impedance
 _SATURATION = {"none": 0, "total": 1, "incremental": 2}
 
@@ -80,16 +83,21 @@ def port_loads(case: Case) -> list[int]:
 
 
 def port_table(
-    case: Case, load_volts: npt.ArrayLike, order: list[int], gaps: list[AirGap | None]
+    case: Case,
+    load_volts: npt.ArrayLike,
+    order: list[int],
+    gaps: list[AirGap | None],
+    devices: Sequence[Sequence[float]] = (),
 ) -> npt.NDArray[np.float64]:
     """Return the ports of the C plant, (ports, rows).
 
     load_volts : voltage magnitude of each load at rest, pu.
     order : position in the case of each machine of the plant; gaps : its air gap, in that order, None for
-        machines without a port.
+        machines without a port. devices : rows of the ports of devices at buses (`device_ports`).
     """
     volts = np.asarray(load_volts, dtype=float)
     table = [_load_row(case, k, float(volts[k])) for k in port_loads(case)]
+    table += [[DEVICE, *row, *[0.0] * (ROWS - 1 - len(row))] for row in devices]
     for k, (position, gap) in enumerate(zip(order, gaps, strict=True)):
         if gap is not None:
             table.append(_machine_row(case.machines[position], k, gap))
@@ -106,6 +114,7 @@ def port_rest(
     """
     place = {bus.number: k for k, bus in enumerate(case.buses)}
     at = [voltages[place[case.loads[k].bus]] for k in port_loads(case)]
+    at += [voltages[place[bus]] for bus in device_port_buses(case)]
     for gap, angle in zip(gaps, angles, strict=True):
         if gap is not None:
             at.append(complex(gap.psi_ad, gap.psi_aq) * np.exp(1j * angle))

@@ -11,17 +11,24 @@ import numpy.typing as npt
 from ..case.case import Case, CaseError
 from ..case.control_schema import Control, control_model, control_numbers
 from ..devices.c_expression import given_rows
-from ..devices.language.device import KINDS
+from ..devices.language.device import AT_BUS, KINDS, OF_MACHINE
 from ..devices.language.expression import Node
 from ..devices.language.structure import Model
 from ..devices.rest import RestPoint, rest_of
 from ..errors import DeviceError
+from .coupling import BusPoint, Coupling, coupling_of, svc_model
 from .machine_tables import NETWORK, MachinePoint, State
 
 SHORTEST_S = 1e-6  #: least value a time constant may be set to
-NUMBERED = ("exciter", "stabilizer", "compensator", "governor")  #: order of states, inputs and parameters
+NUMBERED = (
+    "exciter",
+    "stabilizer",
+    "compensator",
+    "governor",
+    *AT_BUS,
+)  #: order of states, inputs and parameters
 #: what a device sees at the operating point, in the order of R_* of plant/numbers/layout.h
-SEEN = ("vt", "vd", "vq", "id", "iq", "pe", "ifd", "vc", "vs", "pm", "efd")
+SEEN = ("vt", "vd", "vq", "id", "iq", "pe", "ifd", "vc", "vs", "pm", "efd", "out")
 
 
 @dataclass(frozen=True)
@@ -39,10 +46,10 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Device:
-    """A control of one machine at rest; `output`: the states and inputs that its output depends on."""
+    """A control at rest; `output`: the states and inputs that its output depends on."""
 
     word: str  #: exciter, stabilizer, ...
-    machine: int
+    place: int  #: of its machine or, after all machines, of the device at a bus
     prefix: str
     rest: RestPoint
     states: tuple[State, ...]
@@ -65,7 +72,7 @@ class Device:
     def parameters(self) -> Iterator[Parameter]:
         """What a user may change: what is in use and decides no structure."""
         instance = self.rest.instance
-        device, used = instance.model.device, instance.used()
+        device, used = instance.model.device, instance.used() - self._coupling_names()
         for row, p in enumerate(device.parameters):
             value = instance.values[p.name]
             conditions = [c for c in instance.model.bits if p.name in c.names]
@@ -78,6 +85,16 @@ class Device:
             low = max(p.low, SHORTEST_S) if p.open or conditions else p.low
             yield Parameter(f"{self.prefix}.{p.name}", row, _unit(p.unit), p.text, low, p.high, value)
 
+    def coupling(self) -> Coupling:
+        """Return how the output of a device at a bus follows from its state."""
+        return coupling_of(self.rest.instance)
+
+    def _coupling_names(self) -> set[str]:
+        """Of a device at a bus the names in its output: the port is made with their values."""
+        device = self.rest.instance.model.device
+        lines = (line for line in device.lines if self.word in AT_BUS and line.name == device.output)
+        return {name for line in lines if not line.element for name in line.node.names}
+
 
 def _unit(unit: str) -> str:
     return {"MVA": "1"}.get(unit, unit)
@@ -85,9 +102,12 @@ def _unit(unit: str) -> str:
 
 @dataclass(frozen=True)
 class Unrest:
-    """A control that cannot rest, with what its device was asked for: a device, its numbers, what it sees."""
+    """A control that cannot rest, with what its device was asked for: a device, its numbers, what it sees.
 
-    machine: str
+    `word` is the control of a machine, "control" of a device at a bus.
+    """
+
+    row: str  #: name of its machine, or its own at a bus
     word: str
     model: Model
     numbers: dict[str, float | str]
@@ -126,15 +146,25 @@ class Controls:
 
     devices: tuple[Device, ...]  #: kind by kind as NUMBERED, in the order of the machines
     groups: tuple[Group, ...]  #: in the order in which their states are numbered
-    seen: npt.NDArray[np.float64]  #: (len(SEEN), machines)
+    seen: npt.NDArray[np.float64]  #: (len(SEEN), machines and then devices at buses)
 
     def of(self, word: str) -> tuple[Device, ...]:
         """Return the devices of one kind."""
         return tuple(d for d in self.devices if d.word == word)
 
+    @property
+    def inputs(self) -> tuple[Device, ...]:
+        """The devices that take a signal from outside, in the order of the inputs."""
+        return tuple(d for d in self.devices if d.word == "exciter" or d.word in AT_BUS)
+
+    @property
+    def at_buses(self) -> tuple[Device, ...]:
+        """The devices at buses, in the order of the case."""
+        return tuple(sorted((d for d in self.devices if d.word in AT_BUS), key=lambda d: d.place))
+
     def outputs(self, word: str) -> tuple[frozenset[str], ...]:
         """Return of each machine what its device's output depends on."""
-        output_of = {d.machine: d.output for d in self.of(word)}
+        output_of = {d.place: d.output for d in self.of(word)}
         return tuple(output_of.get(k, frozenset()) for k in range(self.seen.shape[1]))
 
     def states(self) -> list[State]:
@@ -153,27 +183,35 @@ class Controls:
         )
 
 
-def controls_at_rest(case: Case, points: tuple[MachinePoint, ...]) -> Controls:
-    """Return the controls of `case` at rest with its machines at `points`.
+def input_name(case: Case, device: Device) -> str:
+    """Return the name of the plant's input that a device takes: `G1_vs`, or `svc1.v_mod` at a bus."""
+    return f"{device.prefix}.v_mod" if device.word in AT_BUS else f"{case.machines[device.place].name}_vs"
+
+
+def controls_at_rest(
+    case: Case, points: tuple[MachinePoint, ...], buses: tuple[BusPoint, ...] = ()
+) -> Controls:
+    """Return the controls of `case` at rest with its machines at `points`, its devices at buses at `buses`.
 
     Raises
     ------
     StartError : devices that cannot rest there: which limit excludes each, by how much, what cures it.
     """
-    seen, starts = rests_of(case, points)
+    seen, starts = rests_of(case, points, buses)
     unrest = [rest for _, _, rest in starts if isinstance(rest, Unrest)]
     if unrest:
         raise StartError(unrest)
     devices: list[Device] = []
     inputs = [_reach(case, k) for k in range(len(points))]
+    inputs += [{"vt": frozenset({NETWORK}), "vs": frozenset({f"{s.name}.v_mod"})} for s in case.svcs]
     for k, word, rest in starts:
         assert isinstance(rest, RestPoint)
-        device = _device(case.machines[k].name, k, word, rest, inputs[k])
+        device = _device(row_name(case, k, word), k, word, rest, inputs[k])
         devices.append(device)
         inputs[k][KINDS[word].output] = device.output
         if word == "stabilizer":
             inputs[k]["vs"] |= {f"{case.machines[k].name}_vs"}
-    devices.sort(key=lambda d: (NUMBERED.index(d.word), d.machine))
+    devices.sort(key=lambda d: (NUMBERED.index(d.word), d.place))
     keys = list(dict.fromkeys((d.word, d.key, d.has) for d in devices))
     groups = tuple(
         Group(key, has, tuple(d for d in devices if (d.word, d.key, d.has) == (word, key, has)))
@@ -182,17 +220,23 @@ def controls_at_rest(case: Case, points: tuple[MachinePoint, ...]) -> Controls:
     return Controls(tuple(devices), groups, seen)
 
 
+def row_name(case: Case, place: int, word: str) -> str:
+    """Return the name of a control: `G1.exciter`, or that of the device at a bus."""
+    machines = len(case.machines)
+    return f"{case.machines[place].name}.{word}" if word in OF_MACHINE else case.svcs[place - machines].name
+
+
 def rests_of(
-    case: Case, points: tuple[MachinePoint, ...]
+    case: Case, points: tuple[MachinePoint, ...], buses: tuple[BusPoint, ...] = ()
 ) -> tuple[npt.NDArray[np.float64], list[tuple[int, str, RestPoint | Unrest]]]:
-    """Return what every machine's devices see, and each device (machine, kind) at rest or why it is not."""
-    seen, own = np.zeros((len(SEEN), len(points))), case.own_devices
+    """Return what the devices at every place see, and each device (place, kind) at rest or why it is not."""
+    seen, own = np.zeros((len(SEEN), len(points) + len(buses))), case.own_devices
     rests: list[tuple[int, str, RestPoint | Unrest]] = []
     for k, point in enumerate(points):
         row = {key: float(getattr(point, key)) for key in ("vt", "vd", "vq", "id", "iq", "pe", "pm", "efd")}
-        row |= {"ifd": row["efd"], "vc": row["vt"], "vs": 0.0}
+        row |= {"ifd": row["efd"], "vc": row["vt"], "vs": 0.0, "out": 0.0}
         seen[:, k] = [row[key] for key in SEEN]
-        for word in KINDS:
+        for word in OF_MACHINE:
             control: Control | None = getattr(case.machines[k], word)
             model = None if control is None else control_model(word, control, own)
             if control is None or model is None:
@@ -201,6 +245,15 @@ def rests_of(
             rests.append((k, word, rest))
             if isinstance(rest, RestPoint):
                 seen[SEEN.index(KINDS[word].output), k] = row[KINDS[word].output] = rest.output
+    for k, (svc, bus) in enumerate(zip(case.svcs, buses, strict=True), start=len(points)):
+        model = svc_model(svc, own)
+        output = bus.output(model.device.kind, svc.base_mva / case.base_mva)
+        who, given = f"{case.name}: svcs.{svc.name}.control", {"vt": bus.seen, "vs": 0.0}
+        numbers = control_numbers(model, svc.control, svc.base_mva)
+        rest = _rest_of(model, numbers, given, output, who, svc.name, "control")
+        rests.append((k, model.device.kind, rest))
+        for key, value in {"vt": bus.seen, "out": output}.items():
+            seen[SEEN.index(key), k] = value
     return seen, rests
 
 
@@ -209,11 +262,20 @@ def _rest(case: Case, k: int, model: Model, control: Control, row: dict[str, flo
     seen = {name: row.get(name, 0.0) for name in KINDS[word].inputs}
     who = f"{case.name}: machines.{m.name}.{word}"
     output = row[KINDS[word].output] if model.device.references else None
-    numbers = control_numbers(model, control, m.base_mva)
+    return _rest_of(model, control_numbers(model, control, m.base_mva), seen, output, who, m.name, word)
+
+
+def _rest_of(
+    model: Model, numbers: dict[str, float | str], seen: dict[str, float], output: float | None, who: str,
+    row: str, word: str,
+) -> RestPoint | Unrest:  # fmt: skip
     try:
-        return rest_of(model, numbers, seen, output, who)
+        rest = rest_of(model, numbers, seen, output, who)
+        if model.device.kind in AT_BUS:
+            coupling_of(rest.instance)
     except DeviceError as error:
-        return Unrest(m.name, word, model, numbers, seen, output, who, error)
+        return Unrest(row, word, model, numbers, seen, output, who, error)
+    return rest
 
 
 def _reach(case: Case, k: int) -> dict[str, frozenset[str]]:
@@ -230,8 +292,7 @@ def _reach(case: Case, k: int) -> dict[str, frozenset[str]]:
     }
 
 
-def _device(machine: str, k: int, word: str, rest: RestPoint, inputs: dict[str, frozenset[str]]) -> Device:
-    prefix = f"{machine}.{word}"
+def _device(prefix: str, k: int, word: str, rest: RestPoint, inputs: dict[str, frozenset[str]]) -> Device:
     rates, reached = rest.instance.depends_on()
 
     def place(names: frozenset[str]) -> frozenset[str]:

@@ -14,7 +14,8 @@ from ..case.case import Case, CaseError
 from ..case.checks import require_dynamics
 from ..case.schema import Machine
 from .bus_devices import AirGap, air_gap, has_port, port_loads, saturation_factor, saturation_of
-from .control_tables import Controls, controls_at_rest
+from .control_tables import Controls, controls_at_rest, input_name
+from .coupling import BusPoint, bus_points
 from .machine_tables import NETWORK, MachinePoint, State
 from .network import bus_index, load_power, machine_bus_index, machine_norton_admittance, sparse_admittance
 from .powerflow import PowerFlow, solve_powerflow
@@ -48,8 +49,8 @@ class OperatingPoint:
 
     @property
     def input_names(self) -> tuple[str, ...]:
-        """Names of the inputs: one per exciter."""
-        return tuple(f"{self.case.machines[e.machine].name}_vs" for e in self.controls.of("exciter"))
+        """Names of the inputs: one per exciter, then one per device at a bus."""
+        return tuple(input_name(self.case, device) for device in self.controls.inputs)
 
 
 def operating_point(case: Case, power_flow: PowerFlow | None = None) -> OperatingPoint:
@@ -85,8 +86,11 @@ def operating_point(case: Case, power_flow: PowerFlow | None = None) -> Operatin
 
 def machine_points(
     case: Case, power_flow: PowerFlow
-) -> tuple[tuple[MachinePoint, ...], npt.NDArray[np.float64], tuple[AirGap | None, ...]]:
-    """Return the machines at rest, the loads' volts and the machines' air gaps, without any control.
+) -> tuple[
+    tuple[MachinePoint, ...], npt.NDArray[np.float64], tuple[AirGap | None, ...], tuple[BusPoint, ...]
+]:
+    """Return the machines at rest, the loads' volts, the machines' air gaps and the devices at buses, without
+    any control.
 
     Raises
     ------
@@ -120,7 +124,7 @@ def machine_points(
             gap = air_gap(m, terminal, i, float(delta[k]))
         points.append(_machine_point(m, float(delta[k]), complex(emf[k]), i, gap))
         gaps.append(gap)
-    return tuple(points), load_volts, tuple(gaps)
+    return tuple(points), load_volts, tuple(gaps), bus_points(case, power_flow.svc_q, solved)
 
 
 def rotor_angle(m: Machine, voltage: complex, current: complex) -> float:
@@ -144,30 +148,34 @@ def _network(
 ) -> tuple[npt.NDArray[np.complex128], npt.NDArray[np.complex128], npt.NDArray[np.float64]]:
     """Bus voltages, machine currents (system base) and the loads' volts, from the EMFs.
 
-    Loads are admittances that draw their power at those volts. Loads with a port must draw it at the
-    voltages found, or the port would not be at rest: their volts are found by repetition.
+    Loads and devices at buses are admittances that draw their power at those volts. Those with a port must
+    draw it at the voltages found, or the port would not be at rest: their volts are found by repetition.
     """
-    index = bus_index(case)
-    at = np.array([index[load.bus] for load in case.loads], dtype=int)
+    index, loads = bus_index(case), len(case.loads)
+    at = np.array([index[q.bus] for q in case.loads] + [index[s.bus] for s in case.svcs], dtype=np.int64)
     volts = np.abs(power_flow.voltages[at])
-    ports = port_loads(case)
-    solve = _linear_network(case, emf)
+    ports = [*port_loads(case), *range(loads, len(at))]
+    drawn = [load_power(case, load) if load.in_service else 0j for load in case.loads]
+    solve = _linear_network(case, emf, at, np.array([*drawn, *(-1j * power_flow.svc_q)], dtype=complex))
     for _ in range(_REPETITIONS if ports else 1):
         voltages, current = solve(volts)
         moved = float(np.max(np.abs(np.abs(voltages[at[ports]]) - volts[ports]), initial=0.0))
         volts[ports] = np.abs(voltages[at[ports]])
         if moved < 1e-15:
             break
-    return voltages, current, volts
+    return voltages, current, volts[:loads]
 
 
 def _linear_network(
-    case: Case, emf: npt.NDArray[np.complex128]
+    case: Case,
+    emf: npt.NDArray[np.complex128],
+    at: npt.NDArray[np.int64],
+    drawn: npt.NDArray[np.complex128],
 ) -> Callable[[npt.NDArray[np.float64]], tuple[npt.NDArray[np.complex128], npt.NDArray[np.complex128]]]:
-    """Return what gives bus voltages and machine currents for the loads' volts."""
+    """Return what gives bus voltages and machine currents for the volts of what is `drawn` at buses `at`."""
     index, admittance = bus_index(case), sparse_admittance(case)
     bus, norton = machine_bus_index(case), machine_norton_admittance(case)
-    drawn = [np.conj(load_power(case, load)) if load.in_service else 0j for load in case.loads]
+    drawn = np.conj(drawn)
     injected = np.zeros(len(index), dtype=complex)
     np.add.at(injected, bus, norton * emf)
 
@@ -175,8 +183,8 @@ def _linear_network(
         volts: npt.NDArray[np.float64],
     ) -> tuple[npt.NDArray[np.complex128], npt.NDArray[np.complex128]]:
         diagonal = np.zeros(len(index), dtype=complex)
-        for load, power, volt in zip(case.loads, drawn, volts, strict=True):
-            diagonal[index[load.bus]] += power / volt**2
+        for bus_of, power, volt in zip(at, drawn, volts, strict=True):
+            diagonal[bus_of] += power / volt**2
         np.add.at(diagonal, bus, norton)
         Y = (admittance + sparse.diags(diagonal)).tocsc()
         factors = splu(Y)
@@ -239,12 +247,13 @@ def _assemble(
     points: tuple[MachinePoint, ...],
     load_volts: npt.NDArray[np.float64],
     gaps: tuple[AirGap | None, ...],
+    buses: tuple[BusPoint, ...],
 ) -> OperatingPoint:
-    controls = controls_at_rest(case, points)
+    controls = controls_at_rest(case, points, buses)
     states = _machine_states(case, points, controls.outputs("exciter"), controls.outputs("governor"))
     states += controls.states()
     x0 = np.array([s.start for s in states])
-    u0 = np.zeros(len(controls.of("exciter")))
+    u0 = np.zeros(len(controls.inputs))
     for array in (x0, u0, load_volts):
         array.flags.writeable = False
     return OperatingPoint(case, power_flow, points, controls, tuple(states), load_volts, gaps, x0, u0)

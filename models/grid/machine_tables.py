@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from ..case.case import Case
 from ..case.schema import Machine
+from .coupling import coupled_state, svc_model
 
 
 @dataclass(frozen=True)
@@ -102,7 +103,9 @@ def _number(m: Machine, key: str) -> float:
 
 def network_states(case: Case) -> frozenset[str]:
     """Return the states that fix every current and voltage of the network."""
-    return frozenset(f"{m.name}.{key}" for m in case.machines for key in NETWORK_KEYS[m.model])
+    own = case.own_devices
+    at_buses = frozenset(f"{s.name}.{coupled_state(svc_model(s, own).device)}" for s in case.svcs)
+    return at_buses | frozenset(f"{m.name}.{key}" for m in case.machines for key in NETWORK_KEYS[m.model])
 
 
 def in_plant_order(case: Case) -> Case:

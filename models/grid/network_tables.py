@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from ..case.case import Case
 from ..case.schema import Machine
-from .bus_devices import LOAD
+from .bus_devices import DEVICE, LOAD, MACHINE
 from .network import branch_stamps, bus_index, load_power, machine_bus_index, shunt_admittance
 from .sparse_pattern import SPARSE_PRICE, IntArray, SparsePattern, sparse_pattern
 
@@ -36,9 +36,10 @@ def network_nodes(case: Case, ports: npt.NDArray[np.float64]) -> NetworkNodes:
     load = np.array([index[row.bus] for row in case.loads], dtype=np.int64)
     gaps: list[tuple[int, int]] = []
     port: list[int] = []
-    for kind, device in ports[:, :2].astype(int):
-        port.append(int(load[device]) if kind == LOAD else buses + len(gaps))
-        if kind != LOAD:
+    for kind, device, _, bus in ports[:, :4].astype(int):
+        at_bus = int(load[device]) if kind == LOAD else int(bus) if kind == DEVICE else None
+        port.append(buses + len(gaps) if at_bus is None else at_bus)
+        if at_bus is None:
             gaps.append((buses + len(gaps), int(machine[device])))
             machine[device] = gaps[-1][0]
     ends = np.concatenate([branch_ends(case), np.array(gaps, dtype=np.int64).reshape(-1, 2)])
@@ -61,7 +62,7 @@ def network_pattern(
     active = np.unique(np.concatenate([nodes.machine, nodes.port]))
     if form == "dense" or (form is None and dense <= price * len(active)):
         return None  # a solution takes at least one multiplication at each active node
-    if any(_has_no_gap(case.machines[int(k)]) for kind, k in ports[:, :2] if kind != LOAD):
+    if any(_has_no_gap(case.machines[int(k)]) for kind, k in ports[:, :2] if kind == MACHINE):
         return None
     pattern = sparse_pattern(nodes.count, nodes.ends, active)
     return pattern if form or dense > price * pattern.multiplications else None

@@ -35,6 +35,7 @@ class PowerFlow:
     voltages: ComplexArray  #: (buses,)
     injections: ComplexArray  #: (buses,) generation less load, shunts belong to the network
     generation: ComplexArray  #: (machines,) P + jQ of each machine
+    svc_q: npt.NDArray[np.float64]  #: (svcs,) reactive power of each into the network
     iterations: int
     mismatch_pu: float  #: largest |P| or |Q| mismatch left
 
@@ -81,7 +82,8 @@ def solve_powerflow(case: Case) -> PowerFlow:
     r"""Solve the power flow of `case` from the start values of its buses, flat where they have none.
 
     Slack, one in each connected part: voltage and angle given; other machine buses: P and voltage; the rest:
-    P and Q. Loads are constant P and Q, shunts are admittances; `newton` has the equations.
+    P and Q. SVCs hold a voltage or give Q.
+    Loads are constant P and Q, shunts are admittances; `newton` has the equations.
 
     Machine reactive limits are not enforced. Machines at one bus have their own `Q_mvar` and share what is
     left of its Q by their ratings; a slack machine takes what P is left.
@@ -100,9 +102,11 @@ def solve_powerflow(case: Case) -> PowerFlow:
     n = len(case.buses)
     magnitude = np.array([bus.V_pu or 1.0 for bus in case.buses])
     magnitude[machine_bus] = [m.V_pu for m in case.machines]
+    held = {bus_index(case)[s.bus]: s.V_pu for s in case.svcs if s.V_pu is not None}
+    magnitude[list(held)] = list(held.values())
     start = magnitude * np.exp(1j * np.deg2rad(_start_angles(case)))
     free_angle = np.delete(np.arange(n), slack)
-    free_magnitude = np.setdiff1d(np.arange(n), machine_bus)
+    free_magnitude = np.setdiff1d(np.arange(n), [*machine_bus, *held])
     best = newton(Y, start, scheduled, free_angle, free_magnitude, tolerance_pu=TOLERANCE_PU)
     if best is None or not best.converged:
         retained = (
@@ -134,6 +138,9 @@ def _load_at_buses(case: Case) -> ComplexArray:
     for row in case.loads:
         if row.in_service:
             load[index[row.bus]] += load_power(case, row)
+    for svc in case.svcs:
+        if svc.V_pu is None:
+            load[index[svc.bus]] -= 1j * svc.Q_mvar / case.base_mva
     return load
 
 
@@ -173,6 +180,18 @@ def _solved(case: Case, best: Iterate, load: ComplexArray, slack: npt.NDArray[np
     scheduled = np.zeros(len(V))
     np.add.at(scheduled, machine_bus, generation.real)
     generation[own] += at_bus[slack].real - scheduled[slack]
-    for array in (V, injections, generation):
+    svc_q = _svc_q(case, at_bus.imag)
+    for array in (V, injections, generation, svc_q):
         array.flags.writeable = False
-    return PowerFlow(case, V, injections, generation, best.iteration, best.mismatch_pu)
+    return PowerFlow(case, V, injections, generation, svc_q, best.iteration, best.mismatch_pu)
+
+
+def _svc_q(case: Case, at_bus: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Q of each SVC: given, or of those that hold the voltage of a bus what is left there, by ratings."""
+    index = bus_index(case)
+    q = np.array([s.Q_mvar / case.base_mva for s in case.svcs], dtype=float)
+    for k, svc in enumerate(case.svcs):
+        if svc.V_pu is not None:
+            total = sum(s.base_mva for s in case.svcs if s.bus == svc.bus and s.V_pu is not None)
+            q[k] = at_bus[index[svc.bus]] * svc.base_mva / total
+    return q

@@ -8,7 +8,7 @@ from ..case.case import Case
 from ..devices.instance import Margin
 from ..devices.language.device import NO_LIMIT
 from ..devices.release import released
-from .control_tables import Unrest, rests_of
+from .control_tables import Unrest, rests_of, row_name
 from .equilibrium import machine_points
 from .powerflow import PowerFlow, solve_powerflow
 
@@ -54,11 +54,12 @@ def start_of(case: Case, power_flow: PowerFlow | None = None) -> Start:
     power_flow = solve_powerflow(case) if power_flow is None else power_flow
     unrest: list[Unrest] = []
     margins: list[ControlMargin] = []
-    for k, word, rest in rests_of(case, machine_points(case, power_flow)[0])[1]:
+    points, _, _, buses = machine_points(case, power_flow)
+    for k, word, rest in rests_of(case, points, buses)[1]:
         if isinstance(rest, Unrest):
             unrest.append(rest)
             continue
-        control, kind = f"{case.machines[k].name}.{word}", rest.instance.model.device.key
+        control, kind = row_name(case, k, word), rest.instance.model.device.key
         margins += [ControlMargin(control, kind, m) for m in rest.margins if m.least < NO_LIMIT / 2]
     return Start(tuple(unrest), tuple(sorted(margins, key=lambda m: m.margin.least)))
 
@@ -70,13 +71,14 @@ def release_limits(case: Case, power_flow: PowerFlow | None = None) -> tuple[Cas
     ------
     CaseError : a control that cannot rest for another reason than a limit.
     """
-    change: dict[str, dict[str, dict[str, float]]] = {}
+    change: dict[str, dict[str, dict[str, dict[str, float]]]] = {}
     messages: list[str] = []
     for item in start_of(case, power_flow).unrest:
         new = released(item.model, item.numbers, item.seen, item.output, item.who)
-        change.setdefault(item.machine, {})[item.word] = new
+        table = "svcs" if item.word == "control" else "machines"
+        change.setdefault(table, {}).setdefault(item.row, {})[item.word] = new
         for name, value in new.items():
-            messages.append(f"{item.machine}.{item.word}.{name}: {item.numbers[name]:g} -> {value:.6g}")
+            messages.append(f"{item.row}.{item.word}.{name}: {item.numbers[name]:g} -> {value:.6g}")
     if not change:
         return case, ()
-    return case.with_changes({"machines": change}), tuple(messages)
+    return case.with_changes(change), tuple(messages)

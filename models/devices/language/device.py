@@ -30,6 +30,10 @@ _TERMINAL = {
     "pe": "electrical power, pu of the machine's base",
     "slip": "speed deviation, pu",
 }
+_AT_BUS = {
+    "vt": "voltage of the regulated bus, pu",
+    "vs": "modulation: what the FMU's input adds at the summing point, pu",
+}
 KINDS: dict[str, Kind] = {
     "governor": Kind(
         {"slip": _TERMINAL["slip"], "pe": _TERMINAL["pe"]}, "pm", ("pref",), "governor and turbine"
@@ -49,8 +53,12 @@ KINDS: dict[str, Kind] = {
         ("vref",),
         "excitation system",
     ),
+    "svc": Kind(_AT_BUS, "b", ("vref",), "susceptance of a static var compensator, pu of its base"),
+    "statcom": Kind(_AT_BUS, "i", ("vref",), "reactive current of a STATCOM, pu of its base"),
 }
-MBASE = "MBASE"  #: MVA base of the machine, known to every device
+AT_BUS = ("svc", "statcom")  #: kinds of devices at a bus; the others belong to a machine
+OF_MACHINE = tuple(kind for kind in KINDS if kind not in AT_BUS)
+MBASE = "MBASE"  #: MVA base of the machine or of the device at a bus, known to every device
 UNITS = ("1", "s", "pu", "pu/s", "rad", "deg", "Hz", "MVA", "1/s")
 
 

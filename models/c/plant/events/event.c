@@ -16,7 +16,8 @@ static const char *kind_name(int kind)
 {
     static const char *const names[EVENT_KINDS] = {
         "none", "bus_fault", "branch_trip", "branch_reclose", "vref_pulse",
-        "load_step", "pm_pulse", "machine_trip", "shunt_switch", "frequency_shed", "frequency_trip"
+        "load_step", "pm_pulse", "machine_trip", "shunt_switch", "frequency_shed", "frequency_trip",
+        "device_trip"
     };
     return kind >= 0 && kind < (int)EVENT_KINDS ? names[kind] : "unknown";
 }
@@ -30,6 +31,7 @@ static size_t target_count(const Plan *plan, const Network *net, int kind)
     case EVENT_LOAD_STEP:
     case EVENT_FREQUENCY_SHED: return plan->n_load;
     case EVENT_SHUNT_SWITCH: return net->n_item;
+    case EVENT_DEVICE_TRIP: return plan->n_at_bus;
     default: return plan->n_machine;
     }
 }
@@ -268,6 +270,7 @@ static void apply_slot(const Plan *plan, const Network *net, const double *p, co
     case EVENT_PM_PULSE: memory[plan->pm_step + target] += size; break;
     case EVENT_FREQUENCY_TRIP:
     case EVENT_MACHINE_TRIP: memory[plan->running + target] = 0.0; break;
+    case EVENT_DEVICE_TRIP: memory[plan->running + plan->n_machine + target] = 0.0; break;
     default: break;
     }
 }
@@ -307,7 +310,7 @@ BlockStatus event_apply(Block *b, const Plan *plan, const Network *net, EventRea
     apply_steps(b, plan, net, t);
     if (reach != EVENT_SWITCHES) return BLOCK_OK;
     for (size_t k = 0; k < 2 * n_bus; ++k) extra[k] = 0.0;
-    for (size_t k = 0; k < plan->n_machine; ++k) memory[plan->running + k] = 1.0;
+    for (size_t k = 0; k < plan->n_place; ++k) memory[plan->running + k] = 1.0;
     for (size_t k = 0; k < plan->n_branch; ++k)
         memory[plan->in_service + k] = branch_state(b, plan, k, net->branch_status[k], t);
     reset_ports(memory, plan, net);
@@ -320,11 +323,13 @@ BlockStatus event_apply(Block *b, const Plan *plan, const Network *net, EventRea
     for (size_t k = 0; k < plan->n_machine; ++k)
         if (memory[plan->running + k] > 0.5) ++running;
     memory[H_TRIPPED] = (double)(plan->n_machine - running);
+    for (size_t k = plan->n_machine; k < plan->n_place; ++k) memory[H_TRIPPED] += 1.0 - memory[plan->running + k];
     if (running == 0)
         return plant_fail(message, BLOCK_ERROR, "t = %.9g s: the last machine was tripped", t);
     for (size_t k = 0; k < plan->n_port; ++k) {
         double *row = memory + plan->port + P_ROWS * k;
-        if (!port_is_load(row)) row[P_ON] = memory[plan->running + index_at(row, P_DEVICE)];
+        const size_t first = port_is_machine(row) ? 0 : plan->n_machine;
+        if (!port_is_load(row)) row[P_ON] = memory[plan->running + first + index_at(row, P_DEVICE)];
     }
     const BlockStatus status = topology_build(memory, plan, net, b->lanes, extra, work, message);
     if (status == BLOCK_OK) centre_of_inertia(memory, plan, work, work + plan->n_machine);

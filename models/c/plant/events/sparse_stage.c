@@ -67,7 +67,7 @@ static void add_machines(double *memory, const Plan *plan, const Pattern *s, Mat
             add(a.diagonal + 2 * s->machine[k], g[k], b[k]);
     }
     for (size_t p = 0; p < plan->n_port; ++p)
-        if (!port_is_load(memory + plan->port + P_ROWS * p)) add_gap(memory, plan, s, a, p, gap++);
+        if (port_is_machine(memory + plan->port + P_ROWS * p)) add_gap(memory, plan, s, a, p, gap++);
 }
 
 /* What hangs on the diagonal besides branches. */
@@ -150,7 +150,7 @@ static void few_ports(double *memory, const Plan *plan, const Pattern *s, double
     for (size_t k = 0; k < 2 * plan->n_node; ++k) at[k] = 0.0;
     for (size_t q = 0; q < n; ++q) {
         const double *row = memory + plan->port + P_ROWS * q;
-        const double of = port_is_load(row) ? 1.0 : ratio[index_at(row, P_DEVICE)];
+        const double of = port_is_machine(row) ? ratio[index_at(row, P_DEVICE)] : 1.0;
         at[2 * s->port[q]] = of;
         sparse_few_forward(memory, plan, s, at, v);
         at[2 * s->port[q]] = 0.0;

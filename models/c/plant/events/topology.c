@@ -25,8 +25,15 @@ static void add(double *a, size_t n, size_t row, size_t col, double re, double i
     a[2 * (row * n + col) + 1] += im;
 }
 
+/* Bus of a port; a machine's lies behind its air gap. */
+static size_t port_bus(const double *memory, const Plan *plan, const Network *net, const double *row)
+{
+    if (port_is_load(row)) return (size_t)net->load_bus[index_at(row, P_DEVICE)];
+    return port_is_machine(row) ? index_at(memory + plan->machine_bus, index_at(row, P_DEVICE)) : index_at(row, P_BUS);
+}
+
 /* Voltages of all buses for each source, by column of `v`: an EMF of 1, a current
- * of 1 at a load's port, or at a machine's port an EMF of j (Xd2 - Xl). */
+ * of 1 at a port at a bus, or at a machine's port an EMF of j (Xd2 - Xl). */
 static size_t source_at(const double *memory, const Plan *plan, const Network *net, size_t source,
                         double *re, double *im, size_t *machine)
 {
@@ -34,10 +41,10 @@ static size_t source_at(const double *memory, const Plan *plan, const Network *n
     const double *row = memory + plan->port + P_ROWS * (source < plan->n_machine ? 0 : source - plan->n_machine);
 
     *machine = source < plan->n_machine ? source : plan->n_machine;
-    if (source >= plan->n_machine && port_is_load(row)) {
+    if (source >= plan->n_machine && !port_is_machine(row)) {
         *re = 1.0;
         *im = 0.0;
-        return (size_t)net->load_bus[index_at(row, P_DEVICE)];
+        return port_bus(memory, plan, net, row);
     }
     if (source >= plan->n_machine) *machine = index_at(row, P_DEVICE);
     network_norton(memory, plan, *machine, &g, &b);
@@ -67,10 +74,9 @@ static void port_row(double *memory, const Plan *plan, const Network *net, size_
     for (size_t p = 0; p < plan->n_port; ++p) {
         const double *row = memory + plan->port + P_ROWS * p;
         const size_t k = index_at(row, P_DEVICE), at = source * plan->n_port + p;
-        const int load = port_is_load(row);
-        const size_t bus = load ? (size_t)net->load_bus[k] : index_at(memory + plan->machine_bus, k);
+        const size_t bus = port_bus(memory, plan, net, row);
         double re = v[2 * bus], im = v[2 * bus + 1];
-        if (!load) {
+        if (port_is_machine(row)) {
             const double r = table[M_RA * n + k], xl = table[M_XL * n + k], x = table[M_XD2 * n + k];
             const double size = r * r + x * x, kr = (r * r + xl * x) / size, ki = (xl - x) * r / size;
             double er, ei;
@@ -204,6 +210,17 @@ static size_t part_of(double *part, size_t k)
     return k;
 }
 
+/* Loads and devices at dead buses give nothing. */
+static void silence_ports(double *memory, const Plan *plan, const Network *net, const double *dead)
+{
+    for (size_t k = 0; k < plan->n_port; ++k) {
+        double *row = memory + plan->port + P_ROWS * k;
+        if (port_is_machine(row) || !(dead[port_bus(memory, plan, net, row)] > 0.5)) continue;
+        if (port_is_load(row)) row[P_P] = row[P_Q] = 0.0;
+        else row[P_ON] = 0.0;
+    }
+}
+
 /* Which buses hang together, and the first machine of each machine's and bus's part. A part where no machine runs is
  * dead: 1 in `dead` for its buses, and its loads draw nothing. part, first: a number for each bus. */
 static void find_parts(double *memory, const Plan *plan, const Network *net, double *part, double *first, double *dead)
@@ -233,10 +250,7 @@ static void find_parts(double *memory, const Plan *plan, const Network *net, dou
         buses += dead[k];
         memory[plan->bus_part + k] = dead[k] > 0.5 ? 0.0 : first[part_of(part, k)];
     }
-    for (size_t k = 0; k < plan->n_port; ++k) {
-        double *row = memory + plan->port + P_ROWS * k;
-        if (port_is_load(row) && dead[net->load_bus[index_at(row, P_DEVICE)]] > 0.5) row[P_P] = row[P_Q] = 0.0;
-    }
+    silence_ports(memory, plan, net, dead);
     memory[H_PARTS] = parts;
     memory[H_DEAD] = buses;
 }

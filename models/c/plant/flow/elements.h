@@ -25,11 +25,11 @@ typedef struct {
     Notes notes;           /* of their decisions                                       */
 } DeviceGroup;
 
-/* One entry for each machine. */
+/* One entry for each machine and device at a bus. */
 typedef struct {
     const cell *vt, *vd, *vq, *id, *iq, *pe, *slip, *ifd;
     const stored *pref_step; /* added to the governors' load reference                 */
-    cell *vc, *vs, *pm, *efd; /* what devices give                                     */
+    cell *vc, *vs, *pm, *efd, *b, *i; /* what devices give                                  */
 } DeviceSignals;
 
 /* Limiters, gates and other kinks decide by comparing signals: decision i of a device is bit i of

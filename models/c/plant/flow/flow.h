@@ -13,11 +13,11 @@
 #include "../network/sparse_few.h"
 #include "tiles.h"
 
-/* Work arrays, one entry per machine; e also one per port; v: two per row of a sparse network. id_rotor is what the
+/* Work arrays, one entry per place: machines, then devices at buses; e: machines and ports; v: two per row of a sparse network. id_rotor is what the
  * rotor circuits see: id, or id + isd. lanes: how many neighbours go at a time (tiles.h). */
 typedef struct {
     num *sine, *cosine, *i_re, *i_im, *id, *iq, *vd, *vq, *vt, *vs, *efd, *pm, *id_rotor;
-    num *vc, *pe, *ifd, *saturation_d, *saturation_q, *centre, *turn;
+    num *vc, *pe, *ifd, *saturation_d, *saturation_q, *centre, *turn, *out;
     num *e_re, *e_im, *v;
     PortWork port;
     num *newton;
@@ -30,13 +30,13 @@ typedef struct {
 
 static Work work_arrays(num *scratch, const Plan *plan, size_t lanes)
 {
-    const size_t n = plan->n_machine;
-    num *e = scratch + 20 * n, *v = e + 2 * plan->n_source, *port = v + 2 * plan->n_node;
+    const size_t n = plan->n_place;
+    num *e = scratch + 21 * n, *v = e + 2 * plan->n_source, *port = v + 2 * plan->n_node;
     Work w = { scratch, scratch + n, scratch + 2 * n, scratch + 3 * n, scratch + 4 * n,
                scratch + 5 * n, scratch + 6 * n, scratch + 7 * n, scratch + 8 * n,
                scratch + 9 * n, scratch + 10 * n, scratch + 11 * n, scratch + 12 * n,
                scratch + 13 * n, scratch + 14 * n, scratch + 15 * n, scratch + 16 * n, scratch + 17 * n, scratch + 18 * n,
-               scratch + 19 * n,
+               scratch + 19 * n, scratch + 20 * n,
                .e_re = e, .e_im = e + plan->n_source, .v = v, .lanes = lanes };
     w.port = port_arrays(port, plan->n_port);
     w.newton = port + PORT_ARRAYS * plan->n_port;
@@ -60,7 +60,7 @@ static Machines machines_of(const real *memory, const Plan *plan, const num *x, 
 #ifdef PLANT_TANGENT   /* tangent.c: one exact Newton step */
 static size_t port_solve_tangent(const double *memory, const Plan *plan, const num *x, const num *linear, double *space,
                                  Work *w);
-static void solve_sparse_tangent(const double *memory, const Plan *plan, const Pattern *pattern, const num *ed2,
+static void solve_sparse_tangent(const double *memory, const Plan *plan, const Pattern *pattern, const num *x,
                                  const num *base, Work *w);
 #endif
 
@@ -83,17 +83,16 @@ static size_t solve_ports(real *memory, const Plan *plan, const num *x, const nu
     const size_t stuck = port_solve_tangent(memory, plan, x, linear, (double *)(void *)work, w);
     return stuck < plan->n_port ? stuck + 1 : 0;
 #else
-    const num *ed2 = machine_states(x, plan->n_machine, plan->n_sixth).ed2;
 #ifdef PLANT_LANES
     const PortCare care = w->rates && w->notes.words != NULL ? PORT_STEP : PORT_ALONE;
     num *b = work, *more = b + 2 * plan->n_port;
     port_given(memory, plan, 0, w->e_re, w->e_im, linear, b, more);
-    const flag failed = port_iterate(memory, plan, 0, care, w->own->warm, w->own->keep, b, ed2, w->sine, w->cosine,
+    const flag failed = port_iterate(memory, plan, 0, care, w->own->warm, w->own->keep, b, x, w->sine, w->cosine,
                                      w->e_re, w->e_im, w->port, more);
     w->e_re[plan->n_machine] = num_pick(failed, NUM(NAN), w->e_re[plan->n_machine]);
     return 0;
 #else
-    const size_t stuck = port_solve(memory, plan, w->lanes, port_care(w), ed2, w->sine, w->cosine, w->e_re, w->e_im,
+    const size_t stuck = port_solve(memory, plan, w->lanes, port_care(w), x, w->sine, w->cosine, w->e_re, w->e_im,
                                     linear, w->port, work);
     return stuck < plan->n_port ? stuck + 1 : 0;
 #endif
@@ -107,7 +106,7 @@ static void saturate_terminals(const real *memory, const Plan *plan, Work *w)
     for (size_t p = 0; p < plan->n_port; ++p) {
         const real *row = memory + plan->port + P_ROWS * p;
         const size_t k = index_at(row, P_DEVICE);
-        if (port_is_load(row)) continue;
+        if (!port_is_machine(row)) continue;
         saturation_terminal(row, k, w->port.isd[p], w->port.isq[p], w->vd, w->vq, w->vt);
         w->id_rotor[k] += w->port.isd[p];
     }
@@ -119,7 +118,7 @@ static void saturate_rates(const real *memory, const Plan *plan, const Work *w, 
     for (size_t p = 0; p < plan->n_port; ++p) {
         const real *row = memory + plan->port + P_ROWS * p;
         const size_t k = index_at(row, P_DEVICE);
-        if (port_is_load(row)) continue;
+        if (!port_is_machine(row)) continue;
         saturation_rates(memory + plan->machine, n, k, w->id[k], w->iq[k], w->port.isd[p], w->port.isq[p],
                          machine_rates(dx, n, plan->n_sixth));
     }
@@ -165,11 +164,10 @@ static size_t solve_sparse(real *memory, const Plan *plan, const Pattern *patter
         return alone;
     }
 #ifndef PLANT_LANES   /* block_group_fits */
-    const num *ed2 = machine_states(x, plan->n_machine, plan->n_sixth).ed2;
 #ifdef PLANT_TANGENT
-    solve_sparse_tangent(memory, plan, pattern, ed2, base, w);
+    solve_sparse_tangent(memory, plan, pattern, x, base, w);
 #else
-    const size_t stuck = sparse_port_solve(memory, plan, pattern, port_care(w), ed2, w->sine, w->cosine, base, w->e_re,
+    const size_t stuck = sparse_port_solve(memory, plan, pattern, port_care(w), x, w->sine, w->cosine, base, w->e_re,
                                            w->e_im, w->port, w->v, base + 2 * plan->n_node);
     if (stuck < plan->n_port) return stuck + 1;
 #endif
@@ -178,12 +176,24 @@ static size_t solve_sparse(real *memory, const Plan *plan, const Pattern *patter
     return 0;
 }
 
-/* Terminals of the machines from their currents. */
+/* Voltages that devices at buses see. */
+static void see_voltages(const real *memory, const Plan *plan, Work *w)
+{
+    for (size_t p = 0; p < plan->n_port; ++p) {
+        const real *row = memory + plan->port + P_ROWS * p;
+        if (index_at(row, P_KIND) != PORT_DEVICE || index_at(row, P_SEES) == 0) continue;
+        w->vt[plan->n_machine + index_at(row, P_SEES) - 1] =
+            num_sqrt(w->port.v_re[p] * w->port.v_re[p] + w->port.v_im[p] * w->port.v_im[p]);
+    }
+}
+
+/* Terminals of the machines from their currents, and what other devices see. */
 static void solve_terminals(const real *memory, const Plan *plan, const Machines *machines, Work *w)
 {
     EVERY_MACHINE(machine_terminal, plan, w, machines);
     if (plan->n_port > 0) saturate_terminals(memory, plan, w);
     else w->id_rotor = w->id;
+    if (plan->n_at_bus > 0) see_voltages(memory, plan, w);
 }
 
 /* The frame in which folded ports are solved turns with the centre of inertia of each part. */
@@ -209,7 +219,7 @@ static size_t solve_network(real *memory, const Plan *plan, const Pattern *patte
     return 0;
 }
 
-/* A tripped machine and its controls stand still where they were: they no longer count. */
+/* A tripped machine or device at a bus and its controls stand still where they were: they no longer count. */
 static void hold_tripped(const real *memory, const Plan *plan, num *dx)
 {
     for (size_t k = 0; k < plan->n_state; ++k) {
@@ -257,7 +267,7 @@ static void solve_devices(const real *memory, const Plan *plan, const num *x, co
     const real *table = memory + plan->machine, *of = memory + plan->input_machine;
     const Machines machines = machines_of(memory, plan, x, w);
     const DeviceSignals signals = { w->vt, w->vd, w->vq, w->id, w->iq, w->pe, machines.x.slip, w->ifd,
-                                    memory + plan->pm_step, w->vc, w->vs, w->pm, w->efd };
+                                    memory + plan->pm_step, w->vc, w->vs, w->pm, w->efd, w->out, w->out };
 
     for (size_t k = 0; k < n; ++k) {
         w->efd[k] = NUM(table[M_EFD0 * n + k]);
@@ -268,7 +278,8 @@ static void solve_devices(const real *memory, const Plan *plan, const num *x, co
     }
     EVERY_MACHINE(machine_field_currents, plan, w, &machines);
     run_groups(memory, plan, w, 0, plan->exciters, &signals, x, dx);
-    for (size_t k = 0; k < n; ++k) w->vs[k] += memory[plan->vref_step + k];
+    for (size_t k = n; k < plan->n_place; ++k) w->vs[k] = NUM(0.0);
+    for (size_t k = 0; k < plan->n_place; ++k) w->vs[k] += memory[plan->vref_step + k];
     for (size_t k = 0; k < plan->n_input; ++k) w->vs[index_at(of, k)] += u[k];
     run_groups(memory, plan, w, plan->exciters, plan->n_group, &signals, x, dx);
 }
@@ -305,69 +316,7 @@ size_t NAME(plant_flow)(real *memory, const int32_t *places, size_t lanes, const
 }
 
 #ifndef PLANT_HELD
-/* Of the voltage re + j im of a bus: shown in the frame that turns with rated frequency, its angle against the centre
- * of inertia. */
-static num bus_shown(const real *memory, const Plan *plan, size_t kind, size_t bus, num re, num im, const Work *w)
-{
-    const real part = memory[plan->bus_part + bus];
-    const num turn = plan->folded > 0 ? value_at(w->turn, part) : NUM(0.0);
-    num sine, cosine;
-
-    if (kind == SHOW_BUS_V) return num_sqrt(re * re + im * im);
-    if (kind != SHOW_BUS_ANGLE && plan->folded == 0) return kind == SHOW_BUS_RE ? re : im;
-    num_sincos((kind == SHOW_BUS_ANGLE ? value_at(w->centre, part) : NUM(0.0)) - turn, &sine, &cosine);
-    const num along = re * cosine + im * sine, across = im * cosine - re * sine;
-    return kind == SHOW_BUS_RE ? along : kind == SHOW_BUS_IM ? across : num_angle(across, along);
-}
-
-/* What is shown from the solved network; Efd and Pm also need solve_devices. */
-static num shown(const real *memory, const Plan *plan, const Pattern *pattern, size_t kind, size_t of,
-                 MachineStates states, const Work *w)
-{
-    num re = NUM(0.0), im = NUM(0.0);
-
-    switch (kind) {
-    case SHOW_DW: return states.slip[of];
-    case SHOW_DELTA: return states.delta[of] - value_at(w->centre, memory[plan->part + of]);
-    case SHOW_PE:
-        return (w->vd[of] * w->id[of] + w->vq[of] * w->iq[of]) * memory[plan->machine + M_RATIO * plan->n_machine + of];
-    case SHOW_VT: return w->vt[of];
-    case SHOW_TIE: return network_tie_power(memory, plan, pattern, w->e_re, w->e_im, w->v);
-    case SHOW_EFD: return w->efd[of];
-    case SHOW_PM: return w->pm[of];
-    case SHOW_BUS_V:
-    case SHOW_BUS_ANGLE:
-    case SHOW_BUS_RE:
-    case SHOW_BUS_IM:
-        network_voltage(memory, plan, pattern, of, w->e_re, w->e_im, w->v, &re, &im);
-        return bus_shown(memory, plan, kind, of, re, im, w);
-    case SHOW_LINE_I: {
-        num a_re, a_im;
-        network_line_current(memory, plan, pattern, plan->n_tie + of, w->e_re, w->e_im, w->v, &re, &im, &a_re, &a_im);
-        return num_sqrt(re * re + im * im);
-    }
-    default:
-        network_line_power(memory, plan, pattern, plan->n_tie + of, w->e_re, w->e_im, w->v, &re, &im);
-        return kind == SHOW_LINE_P ? re : im;
-    }
-}
-
-/* Shown variables first .. last - 1, with the rest of a sparse network's voltages if one needs them. */
-static void show(const real *memory, const Plan *plan, const Pattern *pattern, size_t first, size_t last,
-                 MachineStates states, const Work *w, num *to)
-{
-    const real *kinds = memory + plan->show, *of = kinds + plan->n_y + plan->n_w;
-    int everywhere = 0;
-
-    find_centres(memory, plan, states, NULL, w->centre);
-    for (size_t k = first; k < last; ++k) {
-        const size_t kind = index_at(kinds, k);
-        everywhere |= kind == SHOW_TIE || kind == SHOW_BUS_V || kind >= SHOW_LINE_P;
-    }
-    if (everywhere && is_sparse(plan)) sparse_backward(memory, plan, pattern, 0, plan->first, w->v);
-    for (size_t k = first; k < last; ++k)
-        to[k - first] = shown(memory, plan, pattern, index_at(kinds, k), index_at(of, k), states, w);
-}
+#include "shown.h"
 
 /* y: what the record says, in its order. */
 size_t NAME(plant_outputs)(real *memory, const int32_t *places, size_t lanes, const num *x, num *y, num *scratch,
@@ -381,7 +330,7 @@ size_t NAME(plant_outputs)(real *memory, const int32_t *places, size_t lanes, co
 
     const size_t stuck = solve_network(memory, plan, &pattern, x, &w);
     if (stuck > 0) return stuck;
-    show(memory, plan, &pattern, 0, plan->n_y, machine_states(x, plan->n_machine, plan->n_sixth), &w, y);
+    show(memory, plan, &pattern, 0, plan->n_y, x, &w, y);
     return 0;
 }
 
@@ -399,8 +348,7 @@ size_t plant_locals(double *memory, const int32_t *places, size_t lanes, const d
     const size_t stuck = solve_network(memory, plan, &pattern, x, &w);
     if (stuck > 0) return stuck;
     solve_devices(memory, plan, x, u, dx, &w);
-    show(memory, plan, &pattern, plan->n_y, plan->n_y + plan->n_w, machine_states(x, plan->n_machine, plan->n_sixth), &w,
-         locals);
+    show(memory, plan, &pattern, plan->n_y, plan->n_y + plan->n_w, x, &w, locals);
     return 0;
 }
 

@@ -14,7 +14,6 @@ static size_t port_solve_tangent(const double *memory, const Plan *plan, const n
 {
     const size_t n = plan->n_port, m = plan->n_machine;
     const double *v = memory + plan->port_v;
-    const MachineStates states = machine_states(x, m, plan->n_sixth);
     double *sine = space, *cosine = sine + m, *inverse = cosine + m;
     double *order = inverse + 4 * n * n, *moved = order + 2 * n;
 
@@ -22,12 +21,12 @@ static size_t port_solve_tangent(const double *memory, const Plan *plan, const n
         sine[k] = creal(w->sine[k]);
         cosine[k] = creal(w->cosine[k]);
     }
-    if (!port_inverse(memory, plan, v, v + n, sine, cosine, inverse, order)) return 0;
+    if (!port_inverse(memory, plan, v, v + n, (const double *)(const void *)x, 2, sine, cosine, inverse, order)) return 0;
     for (size_t p = 0; p < n; ++p) {
         w->port.v_re[p] = v[p];
         w->port.v_im[p] = v[n + p];
     }
-    port_inject(memory, plan, 0, states.ed2, w->sine, w->cosine, w->port, w->e_re, w->e_im);
+    port_inject(memory, plan, 0, x, w->sine, w->cosine, w->port, w->e_re, w->e_im);
     for (size_t p = 0; p < n; ++p) {
         w->port.v_re[p] = linear == NULL ? 0.0 : linear[p];
         w->port.v_im[p] = linear == NULL ? 0.0 : linear[n + p];
@@ -51,12 +50,12 @@ static size_t port_solve_tangent(const double *memory, const Plan *plan, const n
         w->port.v_re[p] = with_slope(v[p], re);
         w->port.v_im[p] = with_slope(v[n + p], im);
     }
-    port_inject(memory, plan, 0, states.ed2, w->sine, w->cosine, w->port, w->e_re, w->e_im);
+    port_inject(memory, plan, 0, x, w->sine, w->cosine, w->port, w->e_re, w->e_im);
     return n;
 }
 
 /* The same on a sparse network, in whose factors the slopes are those at V: one step is exact. */
-static void solve_sparse_tangent(const double *memory, const Plan *plan, const Pattern *pattern, const num *ed2,
+static void solve_sparse_tangent(const double *memory, const Plan *plan, const Pattern *pattern, const num *x,
                                  const num *base, Work *w)
 {
     const size_t n = plan->n_port;
@@ -66,12 +65,12 @@ static void solve_sparse_tangent(const double *memory, const Plan *plan, const P
         w->port.v_re[p] = v[p];
         w->port.v_im[p] = v[n + p];
     }
-    sparse_port_step(memory, plan, pattern, ed2, w->sine, w->cosine, base, w->e_re, w->e_im, w->port, w->v);
+    sparse_port_step(memory, plan, pattern, x, w->sine, w->cosine, base, w->e_re, w->e_im, w->port, w->v);
     for (size_t p = 0; p < n; ++p) {
         w->port.v_re[p] = w->v[2 * pattern->port[p]];
         w->port.v_im[p] = w->v[2 * pattern->port[p] + 1];
     }
-    sparse_port_inject(memory, plan, ed2, w->sine, w->cosine, w->port, w->e_re, w->e_im);
+    sparse_port_inject(memory, plan, x, w->sine, w->cosine, w->port, w->e_re, w->e_im);
 }
 
 size_t plant_directional(double *memory, const int32_t *places, const BlockLayout *layout, const double *x, const double *u,
@@ -138,25 +137,26 @@ static void move_gap(const double *memory, const Plan *plan, size_t p, num ed2, 
 }
 
 /* Currents of machines and ports when the voltages of their buses are given (n_source each). */
-static void inject_apart(const double *memory, const Plan *plan, const num *ed2, const num *v_re, const num *v_im, Work *w)
+static void inject_apart(const double *memory, const Plan *plan, const num *x, const num *v_re, const num *v_im, Work *w)
 {
     const size_t n = plan->n_machine;
+    const num *ed2 = machine_states(x, n, plan->n_sixth).ed2;
 
     for (size_t p = 0; p < plan->n_port; ++p) {
         const double *row = memory + plan->port + P_ROWS * p;
         const size_t k = index_at(row, P_DEVICE);
-        if (port_is_load(row)) {
+        if (!port_is_machine(row)) {
             w->port.v_re[p] = v_re[n + p];
             w->port.v_im[p] = v_im[n + p];
         } else {
             move_gap(memory, plan, p, ed2[k], v_re[k], v_im[k], w);
         }
     }
-    if (plan->n_port > 0) port_inject(memory, plan, 0, ed2, w->sine, w->cosine, w->port, w->e_re, w->e_im);
+    if (plan->n_port > 0) port_inject(memory, plan, 0, x, w->sine, w->cosine, w->port, w->e_re, w->e_im);
     for (size_t p = 0; p < plan->n_port; ++p) {   /* a machine's acts like j x J in its EMF */
         const double *row = memory + plan->port + P_ROWS * p;
         const size_t k = index_at(row, P_DEVICE);
-        if (port_is_load(row)) continue;
+        if (!port_is_machine(row)) continue;
         w->e_re[k] -= row[P_X2] * w->e_im[n + p];
         w->e_im[k] += row[P_X2] * w->e_re[n + p];
     }
@@ -201,7 +201,7 @@ size_t plant_device_slopes(double *memory, const int32_t *places, const BlockLay
     for (size_t k = 0; k < layout->n_u; ++k) input[k] = with_slope(u[k], H * vu[k]);
     /* the frame has turned by nothing at rest, and stands while the states move */
     EVERY_MACHINE(machine_emf, plan, &w, &machines);
-    inject_apart(memory, plan, machines.x.ed2, volts, volts + sources, &w);
+    inject_apart(memory, plan, z, volts, volts + sources, &w);
     solve_terminals(memory, plan, &machines, &w);
     solve_rates(memory, plan, z, input, rates, &w);
     for (size_t k = 0; k < layout->n_x; ++k) vdx[k] = cimag(rates[k]) / H;
@@ -210,9 +210,9 @@ size_t plant_device_slopes(double *memory, const int32_t *places, const BlockLay
         vi[sources + k] = cimag(w.i_im[k]) / H;
     }
     for (size_t p = 0; p < plan->n_port; ++p) {
-        const int load = port_is_load(memory + plan->port + P_ROWS * p);
-        vi[n + p] = load ? cimag(w.e_re[n + p]) / H : 0.0;
-        vi[sources + n + p] = load ? cimag(w.e_im[n + p]) / H : 0.0;
+        const int at_bus = !port_is_machine(memory + plan->port + P_ROWS * p);
+        vi[n + p] = at_bus ? cimag(w.e_re[n + p]) / H : 0.0;
+        vi[sources + n + p] = at_bus ? cimag(w.e_im[n + p]) / H : 0.0;
     }
     return 0;
 }

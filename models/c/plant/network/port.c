@@ -46,19 +46,21 @@ static int invert(double *a, size_t n, double *order)
     return 1;
 }
 
-void port_slope_at(const double *memory, const Plan *plan, size_t p, double v_re, double v_im,
-                   const double *sine, const double *cosine, double d[4])
+void port_slope_at(const double *memory, const Plan *plan, size_t p, double v_re, double v_im, const double *x,
+                   size_t stride, const double *sine, const double *cosine, double d[4])
 {
     const double *row = memory + plan->port + P_ROWS * p;
     const size_t k = index_at(row, P_DEVICE);
 
     if (port_is_load(row)) load_slope(row, v_re, v_im, d);
+    else if (!port_is_machine(row)) bus_device_slope(row, bus_device_at(row, x, stride), v_re, v_im, d);
     else if (row[P_ON] > 0.5) saturation_slope(row, v_re, v_im, sine[k], cosine[k], d);
     else d[0] = d[1] = d[2] = d[3] = 0.0;
 }
 
 int port_inverse(const double *memory, const Plan *plan, const double *v_re, const double *v_im,
-                 const double *sine, const double *cosine, double *inverse, double *work)
+                 const double *x, size_t stride, const double *sine, const double *cosine, double *inverse,
+                 double *work)
 {
     const size_t n = plan->n_port;
 
@@ -66,7 +68,7 @@ int port_inverse(const double *memory, const Plan *plan, const double *v_re, con
     for (size_t q = 0; q < n; ++q) {
         const double *g = memory + plan->port_own_re + q * n, *b = memory + plan->port_own_im + q * n;
         double d[4];
-        port_slope_at(memory, plan, q, v_re[q], v_im[q], sine, cosine, d);
+        port_slope_at(memory, plan, q, v_re[q], v_im[q], x, stride, sine, cosine, d);
         for (size_t p = 0; p < n; ++p) {
             double *real = inverse + 4 * n * p + 2 * q, *imaginary = real + 2 * n;
             real[0] = -(g[p] * d[0] - b[p] * d[2]);
@@ -84,7 +86,7 @@ typedef struct {
     double *memory;
     const Plan *plan;
     size_t lanes;
-    const double *ed2, *sine, *cosine;
+    const double *x, *sine, *cosine;
     double *e_re, *e_im;
     PortWork at;
     const double *linear;
@@ -97,7 +99,7 @@ static double residual(const Problem *s, double *r)
     const size_t n = s->plan->n_port;
     double *re = r, *im = r + n, worst = 0.0;
 
-    port_inject(s->memory, s->plan, 0, s->ed2, s->sine, s->cosine, s->at, s->e_re, s->e_im);
+    port_inject(s->memory, s->plan, 0, s->x, s->sine, s->cosine, s->at, s->e_re, s->e_im);
     for (size_t p = 0; p < 2 * n; ++p) r[p] = s->linear[p];
     port_voltages(s->memory + s->plan->port_own_re, s->memory + s->plan->port_own_im, n, n,
                   s->e_re + s->plan->n_machine, s->e_im + s->plan->n_machine, re, im);
@@ -112,7 +114,7 @@ static double residual(const Problem *s, double *r)
 
 static int invert_here(const Problem *s, double *work)
 {
-    return port_inverse(s->memory, s->plan, s->at.v_re, s->at.v_im, s->sine, s->cosine, s->inverse, work);
+    return port_inverse(s->memory, s->plan, s->at.v_re, s->at.v_im, s->x, 1, s->sine, s->cosine, s->inverse, work);
 }
 
 static void copy_voltages(const Problem *s, double *to)
@@ -241,17 +243,17 @@ static void fold_columns(const Plan *plan, size_t lanes, const double *W, size_t
     }
 }
 
-/* Folds the network with the slopes at the voltages v. 0: singular. space: 8 n_port^2; work: 4 n_port. */
-static int fold(double *memory, const Plan *plan, size_t lanes, const double *v, const double *sine,
+/* Folds the network with the slopes at the voltages v and states x, null: at rest. 0: singular. space: 8 n_port^2; work: 4 n_port. */
+static int fold(double *memory, const Plan *plan, size_t lanes, const double *v, const double *x, const double *sine,
                 const double *cosine, double *space, double *work)
 {
     const size_t n = plan->n_port, m = plan->n_machine;
     double *columns = space + 4 * n * n, *last = memory + plan->port_b, *z = memory + plan->port_z;
 
     memory[H_PORT_READY] = 0.0;
-    if (!port_inverse(memory, plan, v, v + n, sine, cosine, space, work)) return 0;
+    if (!port_inverse(memory, plan, v, v + n, x, 1, sine, cosine, space, work)) return 0;
     for (size_t p = 0; p < n; ++p)
-        port_slope_at(memory, plan, p, v[p], v[n + p], sine, cosine, memory + plan->port_slope + 4 * p);
+        port_slope_at(memory, plan, p, v[p], v[n + p], x, 1, sine, cosine, memory + plan->port_slope + 4 * p);
     columns_of(space, n, plan->few > 0 ? last : columns);
     if (plan->few == 0) {
         const double *g = memory + plan->port_w_re, *b = memory + plan->port_w_im;
@@ -273,7 +275,7 @@ void port_fold_at_rest(double *memory, const Plan *plan, size_t lanes, double wa
     double *sine = work, *cosine = sine + m, *more = cosine + m;
 
     for (size_t k = 0; k < m; ++k) real_sincos(memory[plan->delta_rest + k], &sine[k], &cosine[k]);
-    (void)fold(memory, plan, lanes, memory + plan->port_rest, sine, cosine, more + 6 * plan->n_port, more);
+    (void)fold(memory, plan, lanes, memory + plan->port_rest, NULL, sine, cosine, more + 6 * plan->n_port, more);
     memory[H_PORT_FOLDS] = 0.0;
     memory[plan->warm + W_REST] = INFINITY;
     memory[plan->warm + W_WAIT] = wait;
@@ -286,7 +288,7 @@ static int fold_here(const Problem *s, const double *v, double *work)
 
     s->memory[H_PORT_FOLDS] += 1.0;
     if (!(*rest < INFINITY)) *rest = s->memory[s->plan->warm + W_TIME] + s->memory[s->plan->warm + W_WAIT];
-    return fold(s->memory, s->plan, s->lanes, v, s->sine, s->cosine, s->inverse, work);
+    return fold(s->memory, s->plan, s->lanes, v, s->x, s->sine, s->cosine, s->inverse, work);
 }
 
 /* From the last voltages, then from those of the linear network, then from low ones: near collapse
@@ -312,21 +314,21 @@ static size_t newton_from_many(const Problem *s, const double *last, double *wor
     return stuck;
 }
 
-size_t port_solve(double *memory, const Plan *plan, size_t lanes, PortCare care, const double *ed2, const double *sine,
+size_t port_solve(double *memory, const Plan *plan, size_t lanes, PortCare care, const double *x, const double *sine,
                   const double *cosine, double *e_re, double *e_im, const double *linear, PortWork w, double *work)
 {
     const size_t n = plan->n_port;
     double *b = work, *more = b + 2 * n, *own = more + 8 * n, *warm = memory + plan->warm;
     double *last = memory + plan->port_v;
-    const Problem problem = { memory, plan, lanes, ed2, sine, cosine, e_re, e_im, w, linear == NULL ? own : linear,
+    const Problem problem = { memory, plan, lanes, x, sine, cosine, e_re, e_im, w, linear == NULL ? own : linear,
                               work + PORT_NEWTON * n };
     const int keep = care == PORT_STEP;
 
     port_given(memory, plan, lanes, e_re, e_im, linear, b, more);
-    int failed = port_iterate(memory, plan, lanes, care, warm, keep, b, ed2, sine, cosine, e_re, e_im, w, more);
+    int failed = port_iterate(memory, plan, lanes, care, warm, keep, b, x, sine, cosine, e_re, e_im, w, more);
     if (failed && fold_here(&problem, last, more)) {
         port_given(memory, plan, lanes, e_re, e_im, linear, b, more);
-        failed = port_iterate(memory, plan, lanes, care, warm, keep, b, ed2, sine, cosine, e_re, e_im, w, more);
+        failed = port_iterate(memory, plan, lanes, care, warm, keep, b, x, sine, cosine, e_re, e_im, w, more);
     }
     if (failed) {
         if (linear == NULL) {

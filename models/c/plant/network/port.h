@@ -1,5 +1,6 @@
 #ifndef INTERAREA_PORT_H
 #define INTERAREA_PORT_H
+#include "../machine/bus_device.h"
 #include "../machine/load.h"
 #include "../machine/saturation.h"
 #include "../numbers/tiled.h"
@@ -36,16 +37,19 @@ static inline PortWork port_arrays(num *scratch, size_t n)
 }
 
 /* Injected current of the ports from `first` on into the sources at n_machine.. */
-static inline void port_inject(const real *memory, const Plan *plan, size_t first, const num *ed2, const num *sine,
+static inline void port_inject(const real *memory, const Plan *plan, size_t first, const num *x, const num *sine,
                                const num *cosine, PortWork w, num *e_re, num *e_im)
 {
     const size_t n = plan->n_machine;
+    const num *ed2 = machine_states(x, n, plan->n_sixth).ed2;
 
     for (size_t p = first; p < plan->n_port; ++p) {
         const real *row = memory + plan->port + P_ROWS * p;
         num *re = e_re + n + p, *im = e_im + n + p;
         if (port_is_load(row)) {
             load_injection(row, w.v_re[p], w.v_im[p], re, im);
+        } else if (!port_is_machine(row)) {
+            bus_device_injection(row, x, w.v_re[p], w.v_im[p], re, im);
         } else {
             const size_t k = index_at(row, P_DEVICE);
             const flag on = num_above(NUM(row[P_ON]), NUM(0.5));   /* a tripped machine gives nothing */
@@ -72,11 +76,11 @@ static inline double port_rest_next(const double *memory, const Plan *plan, doub
     return port_rest_due(memory, plan, t) ? t + memory[plan->warm + W_WAIT] : memory[plan->warm + W_REST];
 }
 
-/* Ports of loads come before those of machines. */
-static inline size_t port_loads(const real *memory, const Plan *plan)
+/* Ports at buses come before those of machines. */
+static inline size_t ports_at_buses(const real *memory, const Plan *plan)
 {
     size_t count = 0;
-    while (count < plan->n_port && port_is_load(memory + plan->port + P_ROWS * count)) ++count;
+    while (count < plan->n_port && !port_is_machine(memory + plan->port + P_ROWS * count)) ++count;
     return count;
 }
 
@@ -162,7 +166,7 @@ static inline void port_keep(num *warm, size_t n, flag keep, const num *b, const
  * what was is changed only where `keep` says so. Steps go on until the next would move less than is asked for: how
  * much closer one brings is known from the solution before, so that a good start needs one. work: 4 n_port. */
 static inline flag port_iterate(const real *memory, const Plan *plan, size_t lanes, PortCare care, num *warm, flag keep,
-                                const num *b, const num *ed2, const num *sine, const num *cosine, num *e_re, num *e_im,
+                                const num *b, const num *x, const num *sine, const num *cosine, num *e_re, num *e_im,
                                 PortWork w, num *work)
 {
     enum { MOST = 16 };
@@ -180,7 +184,7 @@ static inline flag port_iterate(const real *memory, const Plan *plan, size_t lan
     port_predict(warm, 2 * n, keep, b, v);
     for (int count = 1; count <= MOST && flag_any(open); ++count) {
         num moved = NUM(0.0);
-        port_inject(memory, plan, 0, ed2, sine, cosine, w, e_re, e_im);
+        port_inject(memory, plan, 0, x, sine, cosine, w, e_re, e_im);
         for (size_t p = 0; p < n; ++p) {
             const real *d = slope + 4 * p;
             rest[p] = num_pick(open, e_re[m + p] - (d[0] * v[p] + d[1] * v[n + p]), rest[p]);
@@ -212,7 +216,7 @@ static inline flag port_iterate(const real *memory, const Plan *plan, size_t lan
         e_re[m + p] = rest[p] + (d[0] * v[p] + d[1] * v[n + p]);
         e_im[m + p] = rest[n + p] + (d[2] * v[p] + d[3] * v[n + p]);
     }
-    port_inject(memory, plan, port_loads(memory, plan), ed2, sine, cosine, w, e_re, e_im);
+    port_inject(memory, plan, ports_at_buses(memory, plan), x, sine, cosine, w, e_re, e_im);
     keep = keep & flag_not(failed);
     port_keep(warm, 2 * n, keep, b, v);
     warm[W_RATIO] = num_pick(keep, known, warm[W_RATIO]);
@@ -239,16 +243,16 @@ static inline void port_voltages(const double *w_re, const double *w_im, size_t 
 /* port.c: as port_iterate, with slopes where the voltages are and damped Newton steps where that fails. Returns n_port,
  * or the port farthest from a solution. linear: of few ports their voltages without what they inject; null: of
  * the EMFs' columns. w: arrays of PortWork, which lie one after the other. work: PORT_NEWTON n_port + 8 n_port^2. */
-size_t port_solve(double *memory, const Plan *plan, size_t lanes, PortCare care, const double *ed2, const double *sine,
+size_t port_solve(double *memory, const Plan *plan, size_t lanes, PortCare care, const double *x, const double *sine,
                   const double *cosine, double *e_re, double *e_im, const double *linear, PortWork w, double *work);
 /* The network folded with the slopes at rest; others, where they are wanted, are kept for `wait` seconds.
  * work: 2 n_machine + 6 n_port + 8 n_port^2. */
 void port_fold_at_rest(double *memory, const Plan *plan, size_t lanes, double wait, double *work);
-/* dJ/dV of port p, row by row, a machine's on its base. */
-void port_slope_at(const double *memory, const Plan *plan, size_t p, double v_re, double v_im, const double *sine,
-                   const double *cosine, double d[4]);
+/* dJ/dV of port p, row by row, a machine's on its base. x, stride: as of bus_device_at. */
+void port_slope_at(const double *memory, const Plan *plan, size_t p, double v_re, double v_im, const double *x,
+                   size_t stride, const double *sine, const double *cosine, double d[4]);
 /* Inverse of 1 - Z dJ/dV at the voltages v (row-major, real and imaginary part of
  * each port in turn). 0: singular. work: 2 n_port doubles. */
 int port_inverse(const double *memory, const Plan *plan, const double *v_re, const double *v_im,
-                 const double *sine, const double *cosine, double *inverse, double *work);
+                 const double *x, size_t stride, const double *sine, const double *cosine, double *inverse, double *work);
 #endif

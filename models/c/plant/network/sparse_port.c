@@ -21,7 +21,7 @@ typedef struct {
     double *memory;
     const Plan *plan;
     const Pattern *pattern;
-    const double *ed2, *sine, *cosine, *base;
+    const double *x, *sine, *cosine, *base;
     double *e_re, *e_im;
     PortWork at;
     double *v, *work;
@@ -34,7 +34,7 @@ static double step(const Problem *s, size_t *port)
 {
     double moved = 0.0;
 
-    sparse_port_step(s->memory, s->plan, s->pattern, s->ed2, s->sine, s->cosine, s->base, s->e_re, s->e_im, s->at,
+    sparse_port_step(s->memory, s->plan, s->pattern, s->x, s->sine, s->cosine, s->base, s->e_re, s->e_im, s->at,
                      s->v);
     for (size_t p = 0; p < s->plan->n_port; ++p) {
         const double *v = s->v + 2 * s->pattern->port[p];
@@ -139,9 +139,9 @@ static int fold(const Problem *s)
 
     for (size_t p = 0; p < s->plan->n_port; ++p) {
         const double *row = memory + s->plan->port + P_ROWS * p;
-        const double of = port_is_load(row) ? 1.0 : ratio[index_at(row, P_DEVICE)];
+        const double of = port_is_machine(row) ? ratio[index_at(row, P_DEVICE)] : 1.0;
         double *d = memory + s->plan->port_slope + 4 * p;
-        port_slope_at(memory, s->plan, p, s->at.v_re[p], s->at.v_im[p], s->sine, s->cosine, d);
+        port_slope_at(memory, s->plan, p, s->at.v_re[p], s->at.v_im[p], s->x, 1, s->sine, s->cosine, d);
         for (size_t i = 0; i < 4; ++i) d[i] *= of;
         at[2 * p] = s->at.v_re[p];
         at[2 * p + 1] = s->at.v_im[p];
@@ -242,11 +242,11 @@ static int folded_here(const Problem *s)
     return off <= 1e-12;
 }
 
-size_t sparse_port_solve(double *memory, const Plan *plan, const Pattern *pattern, PortCare care, const double *ed2,
+size_t sparse_port_solve(double *memory, const Plan *plan, const Pattern *pattern, PortCare care, const double *x,
                          const double *sine, const double *cosine, const double *base, double *e_re, double *e_im,
                          PortWork w, double *v, double *work)
 {
-    const Problem problem = { memory, plan, pattern, ed2, sine, cosine, base, e_re, e_im, w, v, work };
+    const Problem problem = { memory, plan, pattern, x, sine, cosine, base, e_re, e_im, w, v, work };
     const Problem *s = &problem;
     const double accuracy = care == PORT_EXACT ? 0.0 : care == PORT_STEP ? STEP_ACCURACY : ACCURACY;
     size_t port = 0;
@@ -263,7 +263,7 @@ size_t sparse_port_solve(double *memory, const Plan *plan, const Pattern *patter
         return port;
     }
     if (care == PORT_EXACT && !folded_here(s) && !fold(s)) return port;
-    if (plan->n_node > plan->n_bus) sparse_port_inject(memory, plan, ed2, sine, cosine, w, e_re, e_im);
+    if (plan->n_node > plan->n_bus) sparse_port_inject(memory, plan, x, sine, cosine, w, e_re, e_im);
     keep(s);
     memory[H_PORT_USED] += 1.0;
     if (memory[H_PORT_RATIO] > POORER && memory[H_PORT_USED] >= WORTH) memory[H_PORT_READY] = 0.0;

@@ -19,29 +19,29 @@ static inline void sparse_port_scale(const real *memory, const Plan *plan, num *
 
     for (size_t p = 0; p < plan->n_port; ++p) {
         const real *row = memory + plan->port + P_ROWS * p;
-        if (port_is_load(row)) continue;
+        if (!port_is_machine(row)) continue;
         e_re[plan->n_machine + p] *= ratio[index_at(row, P_DEVICE)];
         e_im[plan->n_machine + p] *= ratio[index_at(row, P_DEVICE)];
     }
 }
 
 /* What every port injects at its node, into e. */
-static inline void sparse_port_inject(const real *memory, const Plan *plan, const num *ed2, const num *sine,
+static inline void sparse_port_inject(const real *memory, const Plan *plan, const num *x, const num *sine,
                                       const num *cosine, PortWork w, num *e_re, num *e_im)
 {
-    port_inject(memory, plan, 0, ed2, sine, cosine, w, e_re, e_im);
+    port_inject(memory, plan, 0, x, sine, cosine, w, e_re, e_im);
     sparse_port_scale(memory, plan, e_re, e_im);
 }
 
 /* One step from the port voltages in w: node voltages into v. base: what the EMFs inject. */
-static inline void sparse_port_step(const real *memory, const Plan *plan, const Pattern *s, const num *ed2,
+static inline void sparse_port_step(const real *memory, const Plan *plan, const Pattern *s, const num *x,
                                     const num *sine, const num *cosine, const num *base, num *e_re, num *e_im,
                                     PortWork w, num *v)
 {
     const real *slope = memory + plan->port_slope;
     const num *re = e_re + plan->n_machine, *im = e_im + plan->n_machine;
 
-    sparse_port_inject(memory, plan, ed2, sine, cosine, w, e_re, e_im);
+    sparse_port_inject(memory, plan, x, sine, cosine, w, e_re, e_im);
     for (size_t k = 2 * plan->first; k < 2 * plan->n_node; ++k) v[k] = base[k];
     for (size_t p = 0; p < plan->n_port; ++p) {
         const real *d = slope + 4 * p;
@@ -60,7 +60,7 @@ static inline void sparse_port_machines(const real *memory, const Plan *plan, co
     for (size_t p = 0; p < plan->n_port; ++p) {
         const real *row = memory + plan->port + P_ROWS * p;
         const size_t k = index_at(row, P_DEVICE);
-        if (port_is_load(row)) continue;
+        if (!port_is_machine(row)) continue;
         i_re[k] += e_re[plan->n_machine + p];
         i_im[k] += e_im[plan->n_machine + p];
     }
@@ -71,7 +71,7 @@ static inline size_t sparse_port_work(const Plan *plan) { return 4 * plan->n_nod
 
 /* With PORT_EXACT the slopes in the factors are those at the solution. Node voltages v, port voltages and what goes with them into w, of machines' ports also injections into e. Starts
  * where the last solutions point to at memory[H_TIME]. Returns n_port, or the port farthest from a solution. */
-size_t sparse_port_solve(double *memory, const Plan *plan, const Pattern *pattern, PortCare care, const double *ed2,
+size_t sparse_port_solve(double *memory, const Plan *plan, const Pattern *pattern, PortCare care, const double *x,
                          const double *sine, const double *cosine, const double *base, double *e_re, double *e_im,
                          PortWork w, double *v, double *work);
 #endif

@@ -32,8 +32,8 @@ enum {  /* group of devices of one kind and structure (devices.h)     */
     G_TABLE, G_MACHINE, /* where in memory: its table, its machines     */
     G_ROWS
 };
-enum {  /* what devices see at the operating point, for each machine    */
-    R_VT, R_VD, R_VQ, R_ID, R_IQ, R_PE, R_IFD, R_VC, R_VS, R_PM, R_EFD, R_ROWS
+enum {  /* what devices see at the operating point, for each place      */
+    R_VT, R_VD, R_VQ, R_ID, R_IQ, R_PE, R_IFD, R_VC, R_VS, R_PM, R_EFD, R_OUT, R_ROWS
 };
 enum {  /* branch: its 2 x 2 admittance, system base */
     B_FF_RE, B_FF_IM, B_FT_RE, B_FT_IM, B_TF_RE, B_TF_IM, B_TT_RE, B_TT_IM, B_ROWS
@@ -42,10 +42,11 @@ enum {  /* load, drawn at voltage V0 */
     L_P, L_Q, L_V0, L_ROWS
 };
 /* Port: where a nonlinear element meets the linear network (port.h). Ports lie
- * one after the other, P_ROWS numbers each. A load's voltages are relative to V0. */
+ * one after the other, P_ROWS numbers each: loads', those of devices at buses, machines'.
+ * A load's voltages are relative to V0. */
 enum {
-    P_KIND, P_DEVICE,   /* load or machine number                       */
-    P_ON,               /* 0 when its machine is tripped                */
+    P_KIND, P_DEVICE,   /* number of the load, machine, device at a bus */
+    P_ON,               /* 0 when its machine or device is tripped      */
     P_LOAD,             /* first row of what only a load has            */
     P_P = P_LOAD, P_Q,  /* drawn at V0 now, load steps included         */
     P_PER_V0,           /* 1/V0                                         */
@@ -54,6 +55,15 @@ enum {
     P_Q_MIX = P_P_MIX + 5, /* follows an exponent, the exponent, voltage below which it
                            does not any more; the rest is constant impedance        */
     P_ROWS = P_Q_MIX + 5
+};
+enum {  /* the same rows at the port of a device at a bus (bus_device.h) */
+    P_BUS = P_LOAD,     /* position of its bus                          */
+    P_STATE,            /* state that couples                           */
+    P_SCALE, P_BIAS,    /* what it makes of it, system base             */
+    P_COUPLING,         /* CouplingKind                                 */
+    P_REST,             /* that at rest                                 */
+    P_SEES,             /* 1 + device whose input is the voltage here, 0: none */
+    P_LOW               /* voltage below which a current falls with it  */
 };
 enum {  /* the same rows at a machine's port */
     P_SATURATION = P_LOAD, /* SaturationKind                            */
@@ -65,13 +75,14 @@ enum {  /* the same rows at a machine's port */
     P_SLOPE,            /* incremental: Bsat psi_I there                */
     P_SALIENCY          /* 1/(Xd2 - Xl) - 1/(Xq2 - Xl)                  */
 };
-typedef enum { PORT_LOAD = 1, PORT_MACHINE } PortKind;
+typedef enum { PORT_LOAD = 1, PORT_MACHINE, PORT_DEVICE, PORT_KINDS } PortKind;
+typedef enum { COUPLING_NONE, COUPLING_SUSCEPTANCE, COUPLING_CURRENT, COUPLING_KINDS } CouplingKind;
 typedef enum { SATURATION_NONE, SATURATION_TOTAL, SATURATION_INCREMENTAL } SaturationKind;
 
 /* What is shown, outputs and then locals: its kind and which machine, bus or line. */
 typedef enum {
     SHOW_DW, SHOW_DELTA, SHOW_PE, SHOW_VT, SHOW_TIE, SHOW_BUS_V, SHOW_EFD, SHOW_PM, SHOW_LINE_P, SHOW_LINE_Q,
-    SHOW_LINE_I, SHOW_BUS_ANGLE, SHOW_BUS_RE, SHOW_BUS_IM, SHOW_KINDS
+    SHOW_LINE_I, SHOW_BUS_ANGLE, SHOW_BUS_RE, SHOW_BUS_IM, SHOW_DEVICE_Q, SHOW_KINDS
 } ShowKind;
 enum {  /* tie branch: buses of its measured and its other end, admittances seen from there */
     T_BRANCH, T_OWN, T_OTHER, T_OWN_RE, T_OWN_IM, T_MUTUAL_RE, T_MUTUAL_IM, T_ROWS
@@ -80,7 +91,7 @@ enum {  /* tie branch: buses of its measured and its other end, admittances seen
 /* Header of memory; then the plan itself. */
 enum {
     H_READY, H_OMEGA_B,
-    H_TRIPPED,          /* machines that are tripped                    */
+    H_TRIPPED,          /* machines and devices at buses that are tripped */
     H_PORT_READY,       /* 1: port_b and port_z, or the factors, are good for this stage */
     H_PORT_FOLDS,       /* how often slopes other than those at rest were wanted since those were last folded (port.h) */
     H_PATTERN,          /* sparse network: where its pattern begins in the record */
@@ -112,6 +123,8 @@ enum {  /* relay of a slot: when it last looked (-INFINITY: never), the angle th
 typedef struct {
     size_t n_machine, n_sixth, n_bus, n_branch, n_load;
     size_t n_group, n_device, n_decision, n_table, n_input, n_tie, n_slot, n_port, n_state;
+    size_t n_at_bus;      /* devices at buses; of n_place, they come after the machines */
+    size_t n_place;       /* n_machine + n_at_bus: where devices have their signals */
     size_t n_line;        /* branches whose power is shown, after the ties         */
     size_t n_y, n_w;      /* outputs, locals                                       */
     size_t n_node, n_fill, first;  /* sparse network: rows, entries of L and of U, first row a current enters;
@@ -124,20 +137,20 @@ typedef struct {
     size_t machine_bus;   /* n_machine                                             */
     size_t coi;           /* n_machine: weight in its part's centre of inertia     */
     size_t part;          /* n_machine: first machine of its part of the network   */
-    size_t running;       /* n_machine: 1, or 0 after a trip                       */
+    size_t running;       /* n_place: 1, or 0 after a trip                         */
     size_t pm_step;       /* n_machine: added to the mechanical power, machine base */
-    size_t vref_step;     /* n_machine: added at the exciter's summing point       */
-    size_t rest;          /* R_ROWS x n_machine                                    */
+    size_t vref_step;     /* n_place: added at the exciter's summing point       */
+    size_t rest;          /* R_ROWS x n_place                                      */
     size_t group;         /* G_ROWS for each group, in the order in which they run */
-    size_t device_machine; /* n_device: machines, group by group                   */
+    size_t device_machine; /* n_device: places, group by group                     */
     size_t device_table;  /* n_table: tables, group by group                       */
-    size_t input_machine; /* n_input: the machine an input acts on                 */
+    size_t input_machine; /* n_input: the place an input acts on                   */
     size_t tie;           /* T_ROWS x (n_tie + n_line): branches whose power is the output tie_p, then lines */
     size_t show;          /* ShowKind of n_y + n_w, then of which                  */
     size_t bus_part;      /* n_bus: first machine of the part of the network       */
     size_t in_service;    /* n_branch: 1 or 0                                      */
     size_t relay;         /* RELAY_ROWS for each slot (relay.c)                    */
-    size_t state_machine; /* n_state: the machine a state belongs to               */
+    size_t state_machine; /* n_state: the place a state belongs to                 */
     size_t norton;        /* sparse: 2 x n_machine, admittance of each machine     */
     size_t few;           /* sparse: ports so few that they are solved by themselves (sparse_few.h), 1 or 0 */
     size_t folded;        /* ports as port.h has them: of a dense network, or few of a sparse one, 1 or 0 */
@@ -183,14 +196,15 @@ static inline void plan_offsets(Plan *p)
     const size_t n = p->n_machine, ports = p->n_port, sources = n + ports;
     const size_t sparse = is_sparse(p) ? 1 : 0, dense = 1 - sparse;
     p->n_source = sources;
+    p->n_place = n + p->n_at_bus;
     p->machine = at;       at += (size_t)M_ROWS * n;
     p->machine_bus = at;   at += n;
     p->coi = at;           at += n;
     p->part = at;          at += n;
-    p->running = at;       at += n;
+    p->running = at;       at += p->n_place;
     p->pm_step = at;       at += n;
-    p->vref_step = at;     at += n;
-    p->rest = at;          at += (size_t)R_ROWS * n;
+    p->vref_step = at;     at += p->n_place;
+    p->rest = at;          at += (size_t)R_ROWS * p->n_place;
     p->group = at;         at += (size_t)G_ROWS * p->n_group;
     p->device_machine = at; at += p->n_device;
     p->device_table = at;  at += p->n_table;
@@ -236,6 +250,7 @@ static inline void plan_offsets(Plan *p)
 }
 
 static inline int port_is_load(const stored *row) { return index_at(row, P_KIND) == PORT_LOAD; }
+static inline int port_is_machine(const stored *row) { return index_at(row, P_KIND) == PORT_MACHINE; }
 
 static inline void plan_keep(double *memory, const Plan *p) { memcpy(memory + H_PLAN, p, sizeof *p); }
 

@@ -96,7 +96,7 @@ static int settle(Alone *a, double *z)
 /* Device k of a group, seeing what it sees at the operating point. */
 static void take_out(Alone *a, double *memory, const Plan *plan, const double *row, size_t k)
 {
-    const size_t n = plan->n_machine, count = index_at(row, G_COUNT);
+    const size_t n = plan->n_place, count = index_at(row, G_COUNT);
     const double *table = memory + index_at(row, G_TABLE) + k;
     double *rest = memory + plan->rest + index_at(memory + index_at(row, G_MACHINE), k);
 
@@ -107,8 +107,10 @@ static void take_out(Alone *a, double *memory, const Plan *plan, const double *r
     a->machine = a->step = a->slip = 0.0;
     a->signals = (DeviceSignals){ rest + R_VT * n, rest + R_VD * n, rest + R_VQ * n, rest + R_ID * n,
                                   rest + R_IQ * n, rest + R_PE * n, &a->slip, rest + R_IFD * n, &a->step,
-                                  rest + R_VC * n, rest + R_VS * n, rest + R_PM * n, rest + R_EFD * n };
-    double **const outputs[] = { &a->signals.pm, &a->signals.vc, &a->signals.vs, &a->signals.efd };
+                                  rest + R_VC * n, rest + R_VS * n, rest + R_PM * n, rest + R_EFD * n,
+                                  rest + R_OUT * n, rest + R_OUT * n };
+    double **const outputs[] = { &a->signals.pm, &a->signals.vc, &a->signals.vs, &a->signals.efd,
+                                &a->signals.b, &a->signals.i };
     double **output = outputs[device_kind(a->device)];
     a->seen = *output;
     a->wanted = *a->seen;
@@ -140,7 +142,7 @@ static int settle_device(Block *b, const Plan *plan, const double *row, size_t k
 
 BlockStatus rest_settle(Block *b, const Plan *plan, const Network *net, BlockMessage *message)
 {
-    static const char *const kinds[] = { "governor", "compensator", "stabilizer", "exciter" };
+    static const char *const kinds[] = { ".governor", ".compensator", ".stabilizer", ".exciter", "", "" };
     size_t length;
     const double *given = record_f64(b->record, "device.table", &length);
     const double *rest = record_f64(b->record, "state.rest", &length);
@@ -153,7 +155,7 @@ BlockStatus rest_settle(Block *b, const Plan *plan, const Network *net, BlockMes
             if (!settle_device(b, plan, row, k, given, rest)) {
                 const size_t machine = index_at(b->memory + index_at(row, G_MACHINE), k);
                 return plant_fail(message, BLOCK_ERROR,
-                                  "%s.%s: no rest at the operating point with these parameters: a limit excludes it",
+                                  "%s%s: no rest at the operating point with these parameters: a limit excludes it",
                                   plant_name(net->machine_names, machine, name), kinds[device_kind(device)]);
             }
         given += count * device_given(device);

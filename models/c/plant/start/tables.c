@@ -9,7 +9,7 @@
 
 enum {
     C_MACHINE, C_SIXTH, C_BUS, C_BRANCH, C_LOAD, C_GROUP, C_EXCITERS,
-    C_TIE, C_SLOT, C_ITEM, C_PARAMETER, C_PORT, C_NODE, C_FILL, C_FIRST, C_REDUCED, C_LINE, C_COUNTS
+    C_TIE, C_SLOT, C_ITEM, C_PARAMETER, C_PORT, C_NODE, C_FILL, C_FIRST, C_REDUCED, C_LINE, C_AT_BUS, C_COUNTS
 };
 
 /* Everything the record must hold; `bad` keeps the first array that does not fit. */
@@ -95,6 +95,7 @@ static const int32_t *read_plan(const Record *record, const BlockLayout *layout,
     plan->first = (size_t)c[C_FIRST];
     plan->reduced = c[C_REDUCED] > 0 ? 1 : 0;
     plan->n_line = (size_t)c[C_LINE];
+    plan->n_at_bus = (size_t)c[C_AT_BUS];
     plan->n_y = layout->n_y;
     plan->n_w = layout->n_w;
     if (plan->exciters > plan->n_group || !count_devices(record, plan)) return NULL;
@@ -172,15 +173,25 @@ static int pattern_fits(const Pattern *s, const Plan *plan)
     return fits;
 }
 
+/* Whether value is a whole number's place in `below` ones. */
+static int is_place(double value, size_t below) { return value >= 0.0 && value < (double)below; }
+
+/* What the row of a device at a bus points to is there. */
+static int device_port_fits(const Plan *plan, const double *row)
+{
+    return is_place(row[P_BUS], plan->n_bus) && is_place(row[P_STATE], plan->n_state)
+           && is_place(row[P_COUPLING], COUPLING_KINDS) && is_place(row[P_SEES], plan->n_at_bus + 1);
+}
+
 /* The ports' table, its references checked. */
 static const double *read_ports(Reader *r, const Plan *plan)
 {
     const double *table = reals(r, "port.table", P_ROWS * plan->n_port);
     for (size_t k = 0; r->bad == NULL && k < plan->n_port; ++k) {
         const double *row = table + P_ROWS * k;
-        const double below = (double)(port_is_load(row) ? plan->n_load : plan->n_machine);
-        if (!(row[P_KIND] >= 1.0 && row[P_KIND] < 3.0
-              && row[P_DEVICE] >= 0.0 && row[P_DEVICE] < below))
+        const size_t below[PORT_KINDS] = { 0, plan->n_load, plan->n_machine, plan->n_at_bus };
+        const size_t kind = is_place(row[P_KIND], PORT_KINDS) ? (size_t)row[P_KIND] : 0;
+        if (!is_place(row[P_DEVICE], below[kind]) || (kind == PORT_DEVICE && !device_port_fits(plan, row)))
             r->bad = "port.table";
     }
     return table;
@@ -193,7 +204,7 @@ static void check_pattern(Reader *r, const Plan *plan, const int32_t *places)
 
     if (r->bad != NULL || !is_sparse(plan)) return;
     const Pattern s = pattern_of(places, plan);
-    for (size_t p = 0; p < plan->n_port; ++p) gaps += port_is_load(table + P_ROWS * p) ? 0 : 1;
+    for (size_t p = 0; p < plan->n_port; ++p) gaps += port_is_machine(table + P_ROWS * p) ? 1 : 0;
     if (plan->n_node != plan->n_bus + gaps || plan->first >= plan->n_node || !pattern_fits(&s, plan))
         r->bad = "network.pattern";
 }
@@ -207,7 +218,7 @@ static void check_groups(Reader *r, const BlockLayout *layout, const Plan *plan)
     const int32_t *has = integers(r, "group.has", n, (size_t)INT32_MAX + 1);
     size_t given = 0, length;
 
-    (void)integers(r, "device.machine", plan->n_device, plan->n_machine);
+    (void)integers(r, "device.machine", plan->n_device, plan->n_place);
     known = record_i32(r->record, "device.signature", &length);
     if (r->bad == NULL && (length != 1 || (uint32_t)known[0] != DEVICE_SIGNATURE)) r->bad = "device.signature";
     for (size_t k = 0; r->bad == NULL && k < n; ++k) {
@@ -227,8 +238,9 @@ static void check_show(Reader *r, const Plan *plan)
 
     for (size_t k = 0; r->bad == NULL && k < n; ++k) {
         const int line = kind[k] >= SHOW_LINE_P && kind[k] <= SHOW_LINE_I;
-        const int bus = kind[k] == SHOW_BUS_V || kind[k] >= SHOW_BUS_ANGLE;
-        const size_t count = line ? plan->n_line : bus ? plan->n_bus : plan->n_machine;
+        const int bus = kind[k] == SHOW_BUS_V || (kind[k] >= SHOW_BUS_ANGLE && kind[k] <= SHOW_BUS_IM);
+        const size_t count = line ? plan->n_line : bus ? plan->n_bus
+                           : kind[k] == SHOW_DEVICE_Q ? plan->n_port : plan->n_machine;
         const int device = kind[k] == SHOW_EFD || kind[k] == SHOW_PM;
         if ((size_t)of[k] >= count || (device && k < plan->n_y)) r->bad = "show.of";
     }
@@ -247,13 +259,13 @@ BlockStatus plant_check(const Record *record, const BlockLayout *layout, const P
         return plant_fail(message, BLOCK_ERROR, "record: its counts disagree with the list of variables");
     (void)reals(&r, "plant.base", 2);
     (void)reals(&r, "machine.table", M_GIVEN * n);
-    (void)reals(&r, "machine.rest", R_ROWS * n);
+    (void)reals(&r, "machine.rest", R_ROWS * plan->n_place);
     (void)reals(&r, "state.rest", layout->n_x);
     (void)reals(&r, "port.rest", 2 * plan->n_port);
     check_groups(&r, layout, plan);
-    (void)integers(&r, "input.machine", plan->n_input, n);
+    (void)integers(&r, "input.machine", plan->n_input, plan->n_place);
     check_pattern(&r, plan, net->places);
-    (void)integers(&r, "state.machine", layout->n_x, n);
+    (void)integers(&r, "state.machine", layout->n_x, plan->n_place);
     (void)integers(&r, "tie.branch", plan->n_tie + plan->n_line, plan->n_branch);
     (void)integers(&r, "tie.end", plan->n_tie + plan->n_line, 2);
     check_show(&r, plan);
@@ -284,7 +296,7 @@ static void read_groups(Reader *r, const Plan *plan, double *memory)
     size_t length, table = plan->device_table, machine = plan->device_machine;
     const double *given = record_f64(r->record, "device.table", &length);
 
-    copy_integers(memory + machine, integers(r, "device.machine", plan->n_device, plan->n_machine), plan->n_device);
+    copy_integers(memory + machine, integers(r, "device.machine", plan->n_device, plan->n_place), plan->n_device);
     for (size_t k = 0; k < n; ++k) {
         double *row = memory + plan->group + G_ROWS * k;
         const size_t number = (size_t)count[k], rows = device_given((size_t)device[k]) * number;
@@ -309,10 +321,10 @@ static void read_tables(const Record *record, const Plan *plan, const Network *n
     copy_reals(memory + plan->machine, reals(&r, "machine.table", M_GIVEN * n), M_GIVEN * n);
     machine_prepare(memory + plan->machine, n, plan->n_sixth);
     copy_integers(memory + plan->machine_bus, net->machine_bus, n);
-    copy_reals(memory + plan->rest, reals(&r, "machine.rest", R_ROWS * n), R_ROWS * n);
-    copy_integers(memory + plan->input_machine, integers(&r, "input.machine", plan->n_input, n), plan->n_input);
+    copy_reals(memory + plan->rest, reals(&r, "machine.rest", R_ROWS * plan->n_place), R_ROWS * plan->n_place);
+    copy_integers(memory + plan->input_machine, integers(&r, "input.machine", plan->n_input, plan->n_place), plan->n_input);
     read_groups(&r, plan, memory);
-    copy_integers(memory + plan->state_machine, integers(&r, "state.machine", plan->n_state, n), plan->n_state);
+    copy_integers(memory + plan->state_machine, integers(&r, "state.machine", plan->n_state, plan->n_place), plan->n_state);
     copy_integers(memory + plan->show, integers(&r, "show.kind", plan->n_y + plan->n_w, SHOW_KINDS), plan->n_y + plan->n_w);
     copy_integers(memory + plan->show + plan->n_y + plan->n_w,
                   integers(&r, "show.of", plan->n_y + plan->n_w, SIZE_MAX), plan->n_y + plan->n_w);

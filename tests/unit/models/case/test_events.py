@@ -21,14 +21,16 @@ GOOD = [
     {"kind": "shunt_switch", "shunt": "C9", "start_s": 1.0, "end_s": 3.0},
     {"kind": "frequency_shed", "load": "L9", "size_pu": 0.1, "threshold_hz": 59.3},
     {"kind": "frequency_trip", "machine": "G3", "threshold_hz": 61.5, "delay_s": 0.2},
+    {"kind": "device_trip", "device": "svc1", "start_s": 1.0},
 ]
 
 
 def test_every_kind_has_its_target() -> None:
-    case = load_case("two-area-thesis")
+    svc = {"bus": 8, "base_mva": 100.0, "control": {"kind": "svc"}}
+    case = load_case("two-area-thesis").with_changes({"svcs": {"svc1": svc}})
     events = events_of(GOOD, where="here")
     assert {e.kind for e in events} == set(EVENT_KINDS)
-    assert [target_index(case, e) for e in events] == [7, 8, 8, 0, 1, 2, 3, 1, 1, 1, 1, 2]
+    assert [target_index(case, e) for e in events] == [7, 8, 8, 0, 1, 2, 3, 1, 1, 1, 1, 2, 0]
     check_events(case, events)
 
 

@@ -22,7 +22,7 @@ PLANT = Path(__import__("interarea.models").models.__file__).parent / "c" / "pla
 #: one operating point of a machine; the phasors fit vt, and pe = vd id + vq iq
 SEEN = {"vt": 1.0, "vd": 0.6, "vq": 0.8, "id": 0.7, "iq": 0.5, "pe": 0.82, "slip": 0.0, "ifd": 1.9}
 SEEN |= {"vc": 1.0, "vs": 0.0, "pm": 0.82}
-OUTPUT = {"exciter": 1.8, "governor": 0.82}
+OUTPUT = {"exciter": 1.8, "governor": 0.82, "svc": 0.1, "statcom": 0.1}
 
 #: fields of a typical record; public data and the examples of the standards
 RECORDS = {
@@ -74,6 +74,9 @@ RECORDS = {
     "WSIEG1": "0 0 20 0.2 0.1 0.1 0.3 -0.5 1 0 0.25 0.3 0 5 0.4 0 0.4 0.3 0 0.3 0 0" + 14 * " 0",
 }
 OWN = {
+    "svc": {"K": 10.0, "TR": 0.05, "TC": 0.65, "TB": 0.2},
+    "csvgn1": {"K": 20.0, "T2": 0.5, "T4": 1.0, "CBASE": 60.0},
+    "statcom": {"KR": 50.0},
     "static": {"KA": 200.0, "TA": 0.02, "TR": 0.01, "Efd_min": -4.0, "Efd_max": 4.0},
     "static_tgr": {"KA": 200.0, "TA": 0.02, "TR": 0.01, "TC": 1.0, "TB": 10.0},
     "st1a": {"KA": 200.0, "TA": 0.02, "TR": 0.01, "TC": 1.0, "TB": 10.0, "VRmin": -4, "VRmax": 4, "KC": 0.1},
@@ -205,7 +208,7 @@ double hold(size_t device, size_t n, uint64_t has, double *table, const double *
 }
 """
 #: members of DeviceSignals, in the order of elements.h
-MEMBERS = ("vt", "vd", "vq", "id", "iq", "pe", "slip", "ifd", "pref_step", "vc", "vs", "pm", "efd")
+MEMBERS = ("vt", "vd", "vq", "id", "iq", "pe", "slip", "ifd", "pref_step", "vc", "vs", "pm", "efd", "b", "i")
 
 
 class Driver:

@@ -17,7 +17,7 @@ from interarea.models.grid.start import release_limits, start_of
 from interarea.models.importers.file import import_grid
 
 GRID = load_case("nets-nyps")
-FIELD = {d.machine: d.rest.output for d in operating_point(GRID).controls.of("exciter")}
+FIELD = {d.place: d.rest.output for d in operating_point(GRID).controls.of("exciter")}
 #: two machines whose field voltage at rest lies above the limit
 TIGHT = GRID.with_changes(
     {"machines": {name: {"exciter": {"Efd_max": 1.5}} for name in ("G3", "G6")}}, name="tight"
@@ -36,7 +36,7 @@ def test_margins_are_distances_to_the_limits():
 def test_every_control_that_cannot_rest_is_named_with_its_cure():
     with pytest.raises(StartError, match=r"G3\.exciter: efd .* above Efd_max = 1\.5;.*and 1 more") as caught:
         operating_point(TIGHT)
-    assert [u.machine for u in caught.value.unrest] == ["G3", "G6"]
+    assert [u.row for u in caught.value.unrest] == ["G3", "G6"]
     third = next(k for k, m in enumerate(GRID.machines) if m.name == "G3")
     assert f"set Efd_max to at least {FIELD[third]:.6g}" in start_of(TIGHT).text()
 

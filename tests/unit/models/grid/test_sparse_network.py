@@ -205,11 +205,11 @@ def test_the_cheaper_form_is_taken() -> None:
     pattern = network_pattern(wide, np.zeros((0, 18)))
     assert pattern is not None and len(wide.machines) ** 2 > SPARSE_PRICE * pattern.multiplications
     assert pattern.multiplications == 2 * pattern.fill + 120  # a machine at every bus: no row is left out
-    assert plant_block(wide).data["plant.counts"][-5] == 120
+    assert plant_block(wide).data["plant.counts"][-6] == 120
     assert network_pattern(wide, np.zeros((0, 18)), "dense") is None
     between = mesh(12, 6, every=2)
     counts = [plant_block(between, network=form).data["plant.counts"] for form in (None, "sparse", "dense")]
-    assert [c[-2] for c in counts] == [1, 0, 0] and [c[-5] for c in counts] == [72, 72, 0]
+    assert [c[-3] for c in counts] == [1, 0, 0] and [c[-6] for c in counts] == [72, 72, 0]
 
 
 @pytest.mark.parametrize("k", [0, 45, -1])
