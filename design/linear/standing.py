@@ -43,6 +43,7 @@ class Standing:
     common_speed : nor does anything bring a common speed back, which turns them.
     shared_bus : bus -> machines whose exciters integrate its voltage, and how many ways they trade output.
     governors : machines whose governors integrate the speed; all but one of the ways is beside the rotation.
+    infinite : machines that are infinite buses: angle and speed of each stay, whatever the others do.
     resting : states that nothing moves, such as the integrator of a control that is switched off.
     rows : (k, n) sparse, w A = 0 for each integrator or group of them.
     """
@@ -53,12 +54,13 @@ class Standing:
     governors: tuple[str, ...]
     resting: tuple[str, ...]
     rows: Any
+    infinite: tuple[str, ...] = ()
 
     @property
     def count(self) -> int:
         """How many eigenvalues 0 these are; governors that integrate bring the rotation's."""
         turning = int(self.rotation and not self.governors)
-        return turning + int(self.common_speed) + int(self.rows.shape[0])
+        return turning + int(self.common_speed) + int(self.rows.shape[0]) + len(self.infinite)
 
     def as_dict(self) -> dict[str, Any]:
         """Return the record as JSON values."""
@@ -69,6 +71,7 @@ class Standing:
             "common_speed": self.common_speed,
             "shared_bus": shared,
             "governors": list(self.governors),
+            "infinite": list(self.infinite),
             "resting": list(self.resting),
         }
 
@@ -94,6 +97,11 @@ class Standing:
                 f"governors that integrate the speed ({_few(self.governors)}) can trade power between them; "
                 f"{_times(len(self.governors) - 1)} eigenvalue 0 by that, no instability"
             )
+        if self.infinite:
+            message.append(
+                f"infinite buses ({_few(self.infinite)}): angle and speed of each stay as they are, "
+                f"{_times(2 * len(self.infinite))} eigenvalue 0, no instability"
+            )
         if self.resting:
             message.append(
                 f"{len(self.resting)} state(s) that nothing moves ({_few(self.resting)}): eigenvalue 0, "
@@ -116,7 +124,6 @@ def standing_of(plant: SparsePlant, loop: Loop | None = None) -> Standing:
     loop : the plant with a controller around it, which may bring a common speed back; machine speeds show
         none of the others.
     """
-    rotation, common_speed = _together(plant, loop)
     of, local, seen = _integrators(plant)
     place = plant.place[of]
     angle = np.array([np.flatnonzero(p == a)[0] for p, a in zip(place, plant.angle[of], strict=True)], int)
@@ -126,7 +133,10 @@ def standing_of(plant: SparsePlant, loop: Loop | None = None) -> Standing:
     at = np.nonzero(selected)[0], place[selected]
     rows = sparse.csr_matrix((local[selected], at), shape=(len(of), plant.nstates))
     most = place[np.arange(len(of)), np.argmax(np.abs(local), axis=1)] if len(of) else of
-    resting = tuple(plant.states[int(k)] for k in most[kinds == "rests"])
+    infinite = (kinds == "rests") & (most == plant.speed[of] if len(of) else False)
+    # they hold angles and speeds of all others
+    rotation, common_speed = (False, False) if infinite.any() else _together(plant, loop)
+    resting = tuple(plant.states[int(k)] for k in most[(kinds == "rests") & ~infinite])
     retained, shared = [rows[kinds != "voltage"]], {}
     for bus in np.unique(plant.bus[of[kinds == "voltage"]]):
         own = np.flatnonzero((kinds == "voltage") & (plant.bus[of] == bus))
@@ -143,6 +153,7 @@ def standing_of(plant: SparsePlant, loop: Loop | None = None) -> Standing:
         governors=tuple(plant.machines[k] for k in of[kinds == "speed"]),
         resting=resting,
         rows=sparse.vstack(retained).tocsr(),
+        infinite=tuple(plant.machines[k] for k in of[infinite]),
     )
 
 

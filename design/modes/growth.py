@@ -200,7 +200,7 @@ def _errors(A: Matrix, left: ComplexMatrix, right: ComplexMatrix) -> Matrix:
     balanced, (scale, _) = matrix_balance(A, permute=False, separate=True)
     norm = float(np.linalg.norm(balanced))
     v, w = right / scale[:, None], left * scale[:, None]
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         size = np.linalg.norm(w, axis=0) * np.linalg.norm(v, axis=0)
         condition = size / np.abs(np.sum(w * v, axis=0))
         error = _ACCURACY * norm * condition

@@ -148,7 +148,9 @@ class Modes(Mapping[str, Mode]):
         """The inter-area mode; with several, the least damped."""
         result = [m for name, m in self.by_name.items() if name.startswith("inter-area")]
         if not result:
-            raise ModeError(f"no inter-area mode; this system has {', '.join(self.by_name)}")
+            raise ModeError(
+                f"no inter-area mode; this system has {', '.join(self.by_name) or 'no swing mode'}"
+            )
         return min(result, key=lambda m: m.damping_ratio)
 
 
@@ -165,7 +167,7 @@ def modes_of(
     band_hz: tuple[float, float] = (0.05, 4.0),
     least_share: float = 0.25,
 ) -> Modes:
-    r"""Find and name the N - 1 swing modes of a plant with N machines.
+    r"""Find and name the N - 1 swing modes of a plant with N machines; one alone has none.
 
     Swing modes are among the oscillatory modes of the band in which the machines' angles (states
     ``*.delta*``) and speeds (the states its outputs ``*_dw`` read) take part. With right and left speeds
@@ -195,12 +197,12 @@ def modes_of(
         inter-area mode among them.
     """
     machines = list(areas)
-    if len(machines) < 2:
-        raise ModeError(f"{len(machines)} machine(s) in `areas`: a swing mode needs at least two")
     C = _speed_rows(system, machines)
     A = np.asarray(system.A, dtype=float)
     spectrum = _Spectrum.of(A)
     growth = growth_of_spectrum(A, system.state_labels, spectrum.values, spectrum.left, spectrum.right)
+    if len(machines) == 1:
+        return Modes({}, spectrum.values, growth)
     swinging = spectrum.swinging(system, C, band_hz)
     if len(swinging) < len(machines) - 1:
         modes = (spectrum.values[i] for i in swinging)
@@ -288,6 +290,8 @@ class _Spectrum:
 
 def _speed_rows(system: Linear, machines: list[str]) -> Matrix:
     """Rows of C (machines, n) that read the speeds."""
+    if not machines:
+        raise ModeError("no machine in `areas`: a swing mode needs at least two")
     outputs = list(system.output_labels)
     missing = [m for m in machines if f"{m}_dw" not in outputs]
     if missing:

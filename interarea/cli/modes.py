@@ -222,7 +222,7 @@ def _all_modes(
     _print_modes(title, by_name, count)
     for line in (*result.moved, *result.remarks):
         typer.echo(line)
-    if shapes and by_name:
+    if shapes:
         _print_shapes(by_name, case)
     for path, by_mode in moved.items():
         _print_sensitivity(path, by_mode)
@@ -290,6 +290,8 @@ def _print_modes(title: str, result: Mapping[str, Mode], count: int) -> None:
     for mode in result.values():
         if mode.doubt:
             typer.echo(mode.doubt)
+    if not result:
+        typer.echo("no mode there; a machine alone has nothing to swing against, --band lists other modes")
 
 
 def _size_and_angle(entry: complex) -> str:
@@ -298,6 +300,8 @@ def _size_and_angle(entry: complex) -> str:
 
 def _print_shapes(result: Mapping[str, Mode], case: Case) -> None:
     machines = [m.name for m in case.machines]
+    if not result:
+        return
     print_table(
         "speeds of the machines (size, angle in degrees)",
         ("mode", *machines),
@@ -325,6 +329,8 @@ def _sensitivity_dict(moved: Mapping[str, Mapping[str, Sensitivity]]) -> dict[st
 
 
 def _print_sensitivity(path: str, by_mode: Mapping[str, Sensitivity]) -> None:
+    if not by_mode:
+        return
     value = next(iter(by_mode.values())).value
     step, unit = (value / 100.0, "1 %") if value else (1.0, "unit")
     if path.startswith("redispatch."):
