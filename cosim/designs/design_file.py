@@ -39,7 +39,7 @@ from .design_tables import (
     StageTable,
     TargetTable,
 )
-from .family import family_cases, family_plants
+from .family import family_cases, family_plants, with_mode_changes
 from .first_swing import FaultRow, FaultTable, after_fault, predicted_drive
 from .swing_sensitivity import FirstSwingTable, swing_penalty
 
@@ -346,7 +346,7 @@ def judge(
     progress : called with the share that is done.
     """
     found = family_plants(table, cache)
-    return judge_family(
+    judged = judge_family(
         {name: each.judged for name, each in found.items()},
         K,
         table.family(),
@@ -358,6 +358,7 @@ def judge(
         bands_hz={name: inter_area_band(each.modes) for name, each in found.items()},
         progress=progress,
     )
+    return with_mode_changes(judged, found, K, table.family(), table.ask.given_away)
 
 
 def steps_of(table: DesignTable, *, acceptance: bool) -> list[str]:

@@ -49,6 +49,9 @@ class AskTable(Table):
     #: largest H-infinity norm of K (I - G K)^-1 at any operating point, pu per rad/s
     effort: Positive = float("inf")
     fastest_pole: Positive = float("inf")  #: largest magnitude of the controller's poles, rad/s
+    #: what any one mode may lose, nothing being lost, of its damping ratio without control, or of 0.1 where
+    #: that is less
+    given_away: Positive = float("inf")
     synchronism: bool = False  #: after the fault of `fault`, at every operating point
 
     def check(self, least_cap: float, slowest_pole: float) -> None:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Protocol
@@ -11,12 +11,14 @@ from typing import Protocol
 import control
 
 from interarea.design.certificates.large_loop import LargePlant
+from interarea.design.certificates.mode_changes import ModeChange, mode_changes
+from interarea.design.delay.signal_conditions import Condition
 from interarea.design.linear.linearise import remove_reference, speeds_in_rad
 from interarea.design.linear.sparse_plant import SparsePlant
 from interarea.design.modes.modes import Mode, ModeError, modes_of
 from interarea.design.reduction.gramians import ReductionError
 from interarea.design.reduction.low_rank import low_rank_reduction
-from interarea.design.robust.operating_points import JudgedPlant
+from interarea.design.robust.operating_points import FamilyCertificate, JudgedPlant
 from interarea.models.case.case import Case
 from interarea.models.case.variants import operating_variant
 
@@ -122,3 +124,34 @@ def family_plants(table: Family, cache: Path) -> dict[str, FamilyPlant]:
         name: FamilyPlant.of(case, table.signals, table.actuators, cache)
         for name, case in family_cases(table).items()
     }
+
+
+def with_mode_changes(
+    judged: FamilyCertificate,
+    plants: Mapping[str, FamilyPlant],
+    K: control.StateSpace,
+    conditions: Sequence[Condition],
+    given_away: float,
+) -> FamilyCertificate:
+    """Add to a certificate what is left of every mode while nothing is lost, and which lose too much.
+
+    given_away : damping ratio that a mode may lose; infinity: the certificate stays as it is.
+    """
+    if given_away == float("inf"):
+        return judged
+    there = [condition for condition in conditions if not condition.lost]
+    changes: list[ModeChange] = []
+    for name, each in plants.items():
+        worst = {row.condition: row.worst_swing for row in judged.rows if row.point == name}
+        plant = LargePlant(each.blocks, each.case.areas, each.case.omega_b)
+        changes += mode_changes(name, plant, K, there, worst)
+    missed = [
+        f"{change.text}: asked not more than {given_away:g} less"
+        for change in changes
+        if not change.taken <= given_away
+    ]
+    return replace(
+        judged,
+        modes=tuple(asdict(change) for change in changes),
+        violations=(*judged.violations, *missed),
+    )

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from interarea.design.certificates.mode_changes import CALM
 from interarea.design.controllers.controller import Controller
 from interarea.design.errors import InfeasibleDesign
 from interarea.fmu_build.write.cache import cached_json, code_hash, content_hash
@@ -160,7 +161,10 @@ def _better(design: GridDesign) -> tuple[int, float, int]:
     certificate, asked = design.certificate, design.proposal.table.ask
     unstable = sum(not row["stable"] for row in certificate["rows"])
     lost = len((certificate["acceptance"] or {}).get("lost", ()))
+    taken = [min(mode["without"], CALM) - mode["least"] for mode in certificate["modes"]]
     reached = min(
-        certificate["inter_area"] - asked.inter_area, certificate["worst_swing"] - asked.worst_swing
+        certificate["inter_area"] - asked.inter_area,
+        certificate["worst_swing"] - asked.worst_swing,
+        asked.given_away - max(taken, default=0.0),
     )
     return -unstable, min(reached, 0.0), -lost

@@ -226,7 +226,7 @@ def _table(wide: DesignTable, stabilizers: Sequence[Stabilizer], name: str) -> D
         "case": wide.case,
         "conditions": ["N", *(f"L:{signal}" for signal in signals)],
         "limit_pu": wide.limit_pu,
-        "ask": {"inter_area": wide.ask.inter_area, "worst_swing": wide.ask.worst_swing},
+        "ask": wide.ask.model_dump(include={"inter_area", "worst_swing", "given_away"}),
         "part": [
             {"actuator": f"{one.machine}_vs", "signals": [f"{one.machine}_dw"], "order": one.stages + 1}
             for one in stabilizers

@@ -11,6 +11,7 @@ import numpy as np
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
+from interarea.design.certificates.mode_changes import most_taken
 from interarea.design.modes.modes import Mode
 from interarea.models.case.case import Case
 from interarea.models.files import write_whole
@@ -75,6 +76,8 @@ def headline(study: Mapping[str, Any]) -> tuple[str, ...]:
                 "At operating points that are not in the design it falls short of what was asked: "
                 f"{', '.join(dict.fromkeys(short))}."
             )
+        if certificate.get("modes") is not None:
+            lines.append(f"While nothing is lost {most_taken(certificate['modes'])}.")
         if missed := len(certificate["violations"]):
             lines.append(f"It misses {missed} of what was asked, first: {certificate['violations'][0]}.")
         sentence = in_words(certificate["acceptance"])

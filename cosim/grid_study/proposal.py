@@ -172,6 +172,7 @@ def propose(
         "ask": {
             "inter_area": round(weak.wanted, 4),
             "worst_swing": round(max(min(least) - GIVEN_AWAY, 0.0), 4),
+            "given_away": GIVEN_AWAY,
             "effort": round(1.15 * EFFORT, 3),
             "fastest_pole": 66.0,
         },
@@ -261,11 +262,13 @@ def _offset(
 ) -> list[list[float]]:
     """Ask the most of the inter-area band, of local modes what they have, of slow and fast ones less.
 
-    reached : inter-area damping ratio that is counted on: other modes keep theirs where it is reached.
+    reached : inter-area damping ratio that is counted on: where it is reached, no mode becomes weak.
     """
     low, high = (2.0 * pi * hz for hz in inter_area_band({m.name: m for m in weak.found.modes}))
     modes = [*weak.found.modes, *(m for row in tried if row.point.name in names for m in row.modes)]
-    local = _local_nodes([m for m in modes if high < abs(m.eigenvalue.imag) < _LOCAL_TO], reached)
+    local = _local_nodes(
+        [m for m in modes if high < abs(m.eigenvalue.imag) < _LOCAL_TO], weak.wanted, reached
+    )
     nodes = [[at, value] for at, value in _SLOW if at < _RISE * low]
     nodes += [[_RISE * low, -0.1], [low, 0.0], [high, 0.0]]
     nodes += [[at, value] for at, value in local if at > 1.03 * high]
@@ -274,11 +277,17 @@ def _offset(
     return [[round(at, 3), round(value, 4)] for at, value in nodes]
 
 
-def _local_nodes(modes: Sequence[Mode], reached: float) -> list[list[float]]:
-    """Return (rad/s, damping) of local modes by frequency; near ones share the lower value."""
+def _local_nodes(modes: Sequence[Mode], wanted: float, reached: float) -> list[list[float]]:
+    """Return (rad/s, damping) of local modes by frequency; near ones share the lower value.
+
+    Weak ones keep what they have where the inter-area damping is as wanted, others are not weak where it is
+    `reached`.
+    """
     nodes: list[list[float]] = []
     for mode in sorted(modes, key=lambda m: abs(m.eigenvalue.imag)):
-        at, value = abs(mode.eigenvalue.imag), min(mode.damping_ratio - GIVEN_AWAY - reached, 0.0)
+        counted_on = wanted if mode.damping_ratio < WEAK else reached
+        at = abs(mode.eigenvalue.imag)
+        value = min(min(mode.damping_ratio, WEAK) - GIVEN_AWAY - counted_on, 0.0)
         if nodes and at < (1.0 + _NEAR) * nodes[-1][0]:
             nodes[-1][1] = min(nodes[-1][1], value)
         else:

@@ -110,7 +110,7 @@ class LargePlant:
         """Return the inter-area modes of the loop by the names that they have in the open one."""
         ends: dict[str, complex] = {}
         for mode in self.inter_area:
-            ends[mode.name] = end = self._follow(K, condition, mode)
+            ends[mode.name] = end = self.follow(K, condition, mode)
             twins = [n for n, s in ends.items() if n != mode.name and abs(s - end) <= 1e-7 * (1.0 + abs(end))]
             if twins:
                 raise UncertifiedDesign(
@@ -119,8 +119,15 @@ class LargePlant:
                 )
         return ends
 
-    def _follow(self, K: control.StateSpace, condition: Condition, mode: Mode) -> complex:
-        """By secant and Newton; a step whose end is off the secant or of another shape is halved."""
+    def follow(self, K: control.StateSpace, condition: Condition, mode: Mode) -> complex:
+        """Return where a mode of the open loop ends in the closed one, 1/s.
+
+        By secant and Newton; a step whose end is off the secant or of another shape is halved.
+
+        Raises
+        ------
+        UncertifiedDesign : it was lost on its way.
+        """
         s, x, y = mode.eigenvalue, mode.right, mode.left
         gain, step, slope = 0.0, _FIRST, 0.0j
         while gain < 1.0:

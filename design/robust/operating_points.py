@@ -67,6 +67,8 @@ class FamilyCertificate:
     #: what the signals from other machines are worth (`SignalWorth.as_dict`); None: not measured
     worth: Mapping[str, Any] | None = None
     not_covered: str = ""  #: in words: what it says nothing of
+    #: each mode of the open loops with what is left of it (`ModeChange`), nothing lost; None: not asked for
+    modes: tuple[Mapping[str, Any], ...] | None = None
 
     @property
     def passed(self) -> bool:
@@ -75,7 +77,10 @@ class FamilyCertificate:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the record as JSON values."""
-        return {**asdict(self), "passed": self.passed}
+        record = asdict(self)
+        if self.modes is None:
+            del record["modes"]
+        return {**record, "passed": self.passed}
 
 
 def judge_family(

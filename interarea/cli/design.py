@@ -362,6 +362,7 @@ def _show_conditions(table: DesignTable) -> None:
 
 def _show(name: str, certified: FamilyCertificate, table: DesignTable) -> None:
     from interarea.cosim.designs.certificate_words import drive_in_words, in_words
+    from interarea.design.certificates.mode_changes import most_taken
 
     if certified.not_covered:
         typer.echo(f"not covered: {certified.not_covered}")
@@ -375,6 +376,8 @@ def _show(name: str, certified: FamilyCertificate, table: DesignTable) -> None:
         f"worst swing {certified.worst_swing:.4f}, inter-area {certified.inter_area:.4f}, "
         f"effort {certified.effort:.4f}, fastest pole {certified.fastest_pole:.1f} rad/s"
     )
+    if certified.modes is not None:
+        typer.echo(f"nothing lost: {most_taken(certified.modes)}")
     for lost, gain in certified.loss_criterion.items():
         typer.echo(f"{lost} lost: loop gain of the rest at real s {gain:.3f} (unstable above 1)")
     if certified.drive is not None:
