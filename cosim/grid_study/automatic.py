@@ -20,6 +20,7 @@ from interarea.models.errors import InterareaError
 
 from ..designs.design_file import DESIGN_STEPS, DesignTable, run_design
 from ..errors import machine_error
+from .choices import Choices
 from .clock import Clock
 from .faults import judged_with_faults
 from .proposal import Findings, Proposal, find, propose
@@ -49,21 +50,22 @@ def design_grid(
     cache: Path,
     clock: Clock,
     *,
+    choices: Choices | None = None,
     name: str = "",
     named: str = "",
     report: Report = lambda stage, share: None,
 ) -> GridDesign:
     """Make a design for a grid, run it, judge it with faults; parts are found again in `cache`.
 
-    clock : of the time that it may take. name : of the controller. named : how the design file names the
-    case. report : called with one of `DESIGN_STAGES` and the share of it that is done.
+    clock : of the time that it may take. choices : of a person. name : of the controller. named : how the
+    design file names the case. report : called with one of `DESIGN_STAGES` and the share of it that is done.
 
     Raises
     ------
     ScenarioError, ModeError, InfeasibleDesign : no weak mode, none within reach, or no stable controller.
     """
     report(DESIGN_STAGES[0], 0.0)
-    weak = weak_modes(modes_of_grid(case, cache))
+    weak = weak_modes(modes_of_grid(case, cache), choices)
     report(DESIGN_STAGES[0], 1.0)
     return design_for(weak, cache, clock, name=name, named=named, report=report)
 

@@ -6,7 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from time import monotonic
 
-MINUTES = 10.0  #: of a whole study
+from .choices import MINUTES
+
 #: stage -> share of the whole time by when it begins nothing more; what it does not need is left to the next
 ENDS = {
     "loops": 0.15,

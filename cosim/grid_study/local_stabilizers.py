@@ -25,9 +25,10 @@ from interarea.models.errors import InterareaError
 
 from ..designs.design_file import DesignTable, certify, design_of, judged_by
 from ..designs.family import FamilyPlant
+from .choices import WEAK
 from .clock import Clock
 from .faults import judged_with_faults
-from .weak_modes import WEAK, WeakModes
+from .weak_modes import WeakModes
 
 MOST = 6  #: machines that get one
 WASHOUT_S = 10.0
@@ -186,7 +187,11 @@ def which_to_build(wide: Controller, local: Controller | None, asked: tuple[floa
     there = f"local stabilizers at {machines} reach {_reached(local)}"
     afar = f"the wide-area loop {_reached(wide)}"
     if _passed(local):
-        return f"build local stabilizers, no link: {there}, {afar}, each with any one signal lost"
+        adds = (wide.certificate or {})["inter_area"] - (local.certificate or {})["inter_area"]
+        return (
+            f"local stabilizers are enough, no link is needed: at {machines} they reach {_reached(local)}, "
+            f"with any one lost; the wide-area loop would add {adds:+.3f} inter-area"
+        )
     if _passed(wide):
         return f"build the wide-area loop: {afar}; {there}, which misses {_missed(local)}"
     better = "wide-area loop" if _short(wide, asked) >= _short(local, asked) else "local stabilizers"

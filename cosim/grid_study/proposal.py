@@ -30,27 +30,21 @@ from ..designs.design_tables import PointTable
 from ..designs.family import at_point
 from ..designs.short_designs import LATENCY_S, ShortDesign, short_designs
 from ..designs.swing_sensitivity import STEP_S, first_swing
+from .choices import WEAK
 from .clock import GUESS, SEARCH, Clock
 from .operating_points import TriedPoint, chosen_points, tried_points
-from .weak_modes import GIVEN_AWAY, WEAK, WeakModes, in_words
+from .weak_modes import WeakModes, in_words
 
 STEPS = ("loops", "operating points")  #: of `find`
 
-#: sets of loops that are designed shortly for each number of actuators, and the most actuators
-SETS, MOST_ACTUATORS = 2, 4
+SETS = 2  #: of loops that are designed shortly for each number of actuators
 #: damping ratio of inter-area modes beyond which more is no reason for another actuator, nor to take more
 #: from other modes: a swing is then gone after one period
 ENOUGH = 0.25
 #: damping ratio that another actuator must add: less is within what short designs differ by
 WORTH_AN_ACTUATOR = 0.02
-SIGNALS = 3  #: of each actuator at most: with any one lost there are others
-ORDER = 4  #: states of each loop, as in the bundled designs of large grids
-#: pu per rad/s: noise of 1 mHz on a speed then moves an output by .0016 pu at most
-EFFORT = 0.25
 LIMIT_PU = 0.05  #: of each output, as field installations limit stabilizers [IEEE421.5-2016]
-LATENCIES_MS = (100, 200)  #: of all signals: the range of wide-area networks
 PLANT_ORDER = 40  #: of the models of the search; the certificate takes the full plants
-FAULTS, CLEAR_S = 6, 0.1  #: of the acceptance, at most; s
 RUNS = 60  #: at one operating point, each fault with nothing lost and each signal lost: as many faults as fit
 #: rad/s and s: at this common rise the limit is 0; of .3 and .6, tried on the two areas, .3 did less harm.
 #: Without governors a grid's speed goes on rising (New England: .03 rad/s each second, a minute long): behind
@@ -146,7 +140,7 @@ def propose(
     clock : says how long its search may take. name : of the controller, default that of the case. case : what
     the design file names it by.
     """
-    weak, tried = findings.weak, findings.points
+    weak, tried, choices = findings.weak, findings.points, findings.weak.choices
     kept = chosen_points(tried)
     names = {point.name for point in kept}
     parts = {a: _signals(weak, a, s) for a, s in taken.chosen.loops.items()}
@@ -158,10 +152,10 @@ def propose(
     keys: dict[str, Any] = {
         "name": name or re.sub("^(?=[^A-Za-z_])|[^A-Za-z0-9_]+", "_", weak.case.name),
         "case": case or weak.case.name,
-        "conditions": _conditions(signals),
+        "conditions": _conditions(signals, choices.latencies_ms),
         "slowest_pole": 0.3,
         "fastest_pole": 60.0,
-        "effort_cap": [[0.05, EFFORT], [300.0, EFFORT]],
+        "effort_cap": [[0.05, choices.effort], [300.0, choices.effort]],
         "effort_under": ["N"],
         "offset": _offset(weak, tried, names, min(taken.damping, ENOUGH)),
         "plant_order": PLANT_ORDER,
@@ -171,13 +165,13 @@ def propose(
         "seed": 1,
         "ask": {
             "inter_area": round(weak.wanted, 4),
-            "worst_swing": round(max(min(least) - GIVEN_AWAY, 0.0), 4),
-            "given_away": GIVEN_AWAY,
-            "effort": round(1.15 * EFFORT, 3),
+            "worst_swing": round(max(min(least) - choices.given_away, 0.0), 4),
+            "given_away": choices.given_away,
+            "effort": round(1.15 * choices.effort, 3),
             "fastest_pole": 66.0,
         },
         "acceptance": acceptance.model_dump(mode="json", exclude_unset=True),
-        "part": [{"actuator": a, "signals": list(s), "order": ORDER} for a, s in parts.items()],
+        "part": [{"actuator": a, "signals": list(s), "order": choices.order} for a, s in parts.items()],
         "stage": [
             {"points": ["base"], "rho": [60.0, 150.0], "steps": 25, "longest_s": clock.seconds(GUESS)},
             {"rho": [150.0, 600.0], "steps": 30, "longest_s": clock.seconds(SEARCH)},
@@ -199,13 +193,16 @@ def ranked_sets(weak: WeakModes) -> list[LoopSet]:
     ModeError : no actuator reaches the weak modes.
     """
     sets: list[LoopSet] = []
-    for together in range(1, min(MOST_ACTUATORS, len(weak.plant.inputs)) + 1):
+    choices = weak.choices
+    there = len(choices.actuators or weak.plant.inputs)
+    for together in range(1, min(choices.most_actuators, there) + 1):
         choice = choose_loops(
             weak.plant,
             weak.found.modes,
             weak.case.areas,
             targets=[m.name for m in weak.targets],
             kinds=("speed",),
+            actuators=choices.actuators,
             latency_s=LATENCY_S,
             together=together,
             most=SETS,
@@ -245,14 +242,14 @@ def _signals(weak: WeakModes, actuator: str, signal: str) -> tuple[str, ...]:
     )
     first = [m for m in against if f"_{m}" in f"_{signal.removeprefix('dw_')}"] if "_" in signal else []
     others = dict.fromkeys([*first, *against])
-    return tuple(f"{m}_dw" for m in [own, *list(others)[: SIGNALS - 1]])
+    return tuple(f"{m}_dw" for m in [own, *list(others)[: weak.choices.signals - 1]])
 
 
-def _conditions(signals: Sequence[str]) -> list[str]:
+def _conditions(signals: Sequence[str], latencies_ms: Sequence[int]) -> list[str]:
     """Nothing lost and each signal lost, at once and with all of them late."""
     lost = ["", *(f"L:{name}" for name in signals)]
     rows = [code or "N" for code in lost]
-    for late in LATENCIES_MS:
+    for late in latencies_ms:
         rows += [f"s{late}" + (f"+{code}" if code else "") for code in lost]
     return rows
 
@@ -266,9 +263,7 @@ def _offset(
     """
     low, high = (2.0 * pi * hz for hz in inter_area_band({m.name: m for m in weak.found.modes}))
     modes = [*weak.found.modes, *(m for row in tried if row.point.name in names for m in row.modes)]
-    local = _local_nodes(
-        [m for m in modes if high < abs(m.eigenvalue.imag) < _LOCAL_TO], weak.wanted, reached
-    )
+    local = _local_nodes([m for m in modes if high < abs(m.eigenvalue.imag) < _LOCAL_TO], weak, reached)
     nodes = [[at, value] for at, value in _SLOW if at < _RISE * low]
     nodes += [[_RISE * low, -0.1], [low, 0.0], [high, 0.0]]
     nodes += [[at, value] for at, value in local if at > 1.03 * high]
@@ -277,7 +272,7 @@ def _offset(
     return [[round(at, 3), round(value, 4)] for at, value in nodes]
 
 
-def _local_nodes(modes: Sequence[Mode], wanted: float, reached: float) -> list[list[float]]:
+def _local_nodes(modes: Sequence[Mode], weak: WeakModes, reached: float) -> list[list[float]]:
     """Return (rad/s, damping) of local modes by frequency; near ones share the lower value.
 
     Weak ones keep what they have where the inter-area damping is as wanted, others are not weak where it is
@@ -285,9 +280,9 @@ def _local_nodes(modes: Sequence[Mode], wanted: float, reached: float) -> list[l
     """
     nodes: list[list[float]] = []
     for mode in sorted(modes, key=lambda m: abs(m.eigenvalue.imag)):
-        counted_on = wanted if mode.damping_ratio < WEAK else reached
+        counted_on = weak.wanted if mode.damping_ratio < WEAK else reached
         at = abs(mode.eigenvalue.imag)
-        value = min(min(mode.damping_ratio, WEAK) - GIVEN_AWAY - counted_on, 0.0)
+        value = min(min(mode.damping_ratio, WEAK) - weak.choices.given_away - counted_on, 0.0)
         if nodes and at < (1.0 + _NEAR) * nodes[-1][0]:
             nodes[-1][1] = min(nodes[-1][1], value)
         else:
@@ -311,14 +306,14 @@ def _acceptance(
     for name in (row.point.out[0] for row in tried if row.point.out and not row.problem):
         known = {fault.bus for fault in faults}
         if (
-            len(faults) < min(max(most, 1), FAULTS)
+            len(faults) < min(max(most, 1), weak.choices.faults)
             and ends[name] not in known
             and _whole_without(weak, points, name)
         ):
             faults.append(FaultPlace(bus=ends[name], trip=name))
     if not faults:
         faults = [FaultPlace(bus=weak.case.machines[0].bus)]
-    cycles = round(CLEAR_S * weak.case.frequency_hz, 1)
+    cycles = round(weak.choices.clear_s * weak.case.frequency_hz, 1)
     return AcceptanceTable(fault=tuple(faults), latency_s=(0.15,), clear_cycles=cycles)
 
 
@@ -381,7 +376,7 @@ def _reasons(findings: Findings, taken: ShortDesign, names: set[str]) -> tuple[s
         lines.append(f"No operating point of a stable whole grid: {', '.join(missing)}.")
     least = min([weak.weakest.damping_ratio, *(r.least for r in tried if r.point.name in names)])
     lines.append(
-        f"Asked: inter-area {weak.wanted:.3f} (without control {least:.3f} at the worst point; "
-        f"+.05, or {WEAK:g}), every other mode not {GIVEN_AWAY:g} below its worst without control."
+        f"Asked: inter-area {weak.wanted:.3f} (without control {least:.3f} at the worst point), no mode more "
+        f"than {weak.choices.given_away:g} below itself without control."
     )
     return tuple(lines)

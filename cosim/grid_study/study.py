@@ -23,15 +23,16 @@ from interarea.models.files import write_whole
 from ..designs.design_file import DesignTable
 from ..designs.family import FamilyPlant, at_point
 from ..designs.worth import design_rival, has_rival, with_rival, worth
-from ..errors import machine_error
+from ..errors import ScenarioError, machine_error
 from ..run.artefacts import plant_fmu
 from ..run.controllers import controller_fmu
 from .automatic import DESIGN_STAGES, Report, design_for
-from .clock import MINUTES, Clock
+from .choices import WEAK, Choices
+from .clock import Clock
 from .local_stabilizers import local_rival, which_to_build
 from .page import mode_shapes, write_page
 from .proposal import Findings, Proposal, ranked_sets
-from .weak_modes import modes_of_grid, weak_modes
+from .weak_modes import in_words, modes_of_grid, weak_modes
 
 STAGES = (*DESIGN_STAGES, "local stabilizers", "own-signal rival", "latency", "FMUs and page")
 #: s, of all signals: curves of damping
@@ -46,13 +47,13 @@ def study_grid(
     named: str = "",
     assumptions: Sequence[str] = (),
     command: str = "",
-    minutes: float = MINUTES,
+    choices: Choices | None = None,
     report: Report = lambda stage, share: None,
 ) -> dict[str, Any]:
     """Study a grid into the folder `out`; return what study.json holds.
 
     named : how the design file names the case. assumptions : made while its data were read, for the page.
-    command : that repeats the study. minutes : that it may take; the page says what is left out.
+    command : that repeats the study. choices : of a person; default none but the grid.
 
     Writes report.html (from the first second on), study.json, design.toml, controller.json, local.json and
     fmus/. What
@@ -64,7 +65,8 @@ def study_grid(
     point.
     """
     modes, (beside, rival, latency, last) = STAGES[0], STAGES[len(DESIGN_STAGES) :]
-    clock = Clock(minutes)
+    choices = choices or Choices(grid=case.name)
+    clock = Clock(choices.minutes)
     study: dict[str, Any] = {
         "case": case.name,
         "command": command,
@@ -72,7 +74,7 @@ def study_grid(
         "buses": len(case.buses),
         "machines": len(case.machines),
         "problem": None,
-        "minutes": minutes,
+        "choices": choices.model_dump(mode="json"),
         "no_time_for": clock.left_out,
     }
     with threadpool_limits(1):
@@ -87,7 +89,7 @@ def study_grid(
         written()
         report(modes, 1.0)
         try:
-            weak = weak_modes(found)
+            weak = weak_modes(found, choices)
             study["loops"] = [_loop_row(one) for one in ranked_sets(weak)]
             written()
 
@@ -132,6 +134,24 @@ def study_grid(
         write_whole(out / "study.json", f"{text}\n".encode())
         report(last, 1.0)
     return study
+
+
+def found_in(case: Case, cache: Path) -> tuple[dict[str, Any], list[str]]:
+    """Return what is asked of a grid by default, as keys of `Choices`, and its modes in words.
+
+    Raises CaseError where it has no operating point.
+    """
+    found = modes_of_grid(case, cache)
+    lines = [f"Study of {case.name}: {len(case.buses)} buses, {len(case.machines)} machines."]
+    lines += [f"It is unstable without control: {text}." for text in found.growing]
+    lines += [f"{'Weak' if m.damping_ratio < WEAK else 'Not weak'}: {in_words(m)}." for m in found.shown]
+    try:
+        weak = weak_modes(found)
+    except ScenarioError as error:
+        return {}, [*lines, str(error)]
+    actuators = list(dict.fromkeys(a for one in ranked_sets(weak) for a in one.actuators))
+    lines.append(f"Actuators of the best sets of loops by their residues: {', '.join(actuators)}.")
+    return {"inter_area": round(weak.wanted, 4)}, lines
 
 
 def _found(findings: Findings, proposal: Proposal | None = None) -> dict[str, Any]:

@@ -14,15 +14,11 @@ from interarea.models.case.case import Case
 
 from ..errors import ScenarioError
 from ..run.artefacts import sparse_linear_plant
+from .choices import WEAK, Choices
 
 #: Hz; electromechanical modes of large and small grids [Kundur1994, sec. 12.8]
 BAND_HZ = (0.1, 2.5)
-#: damping ratio up to which modes are looked for, and below which one counts as weak
-BELOW, WEAK = 0.4, 0.1
-#: what a design adds to the damping ratio of a weak mode at least, unless that reaches `WEAK`
-GAIN = 0.05
-#: what a design may take from the damping ratio of any other mode
-GIVEN_AWAY = 0.005
+BELOW = 0.4  #: damping ratio up to which modes are looked for
 
 
 @dataclass(frozen=True)
@@ -72,13 +68,17 @@ def modes_of_grid(case: Case, cache: Path) -> GridModes:
 
 @dataclass(frozen=True)
 class WeakModes:
-    """What is to be damped in a grid. targets : inter-area modes; others : weak, but not among them."""
+    """What is to be damped in a grid, and what was chosen for it.
+
+    targets : inter-area modes. others : weak modes that are not among them.
+    """
 
     case: Case
     plant: SparsePlant
     found: AllModes
     targets: tuple[Mode, ...]
     others: tuple[Mode, ...]
+    choices: Choices
 
     @property
     def weakest(self) -> Mode:
@@ -87,19 +87,21 @@ class WeakModes:
 
     @property
     def wanted(self) -> float:
-        """Inter-area damping ratio that a design is asked for: `GAIN` more than without, or `WEAK`."""
-        least = self.weakest.damping_ratio
-        return min(least + GAIN, max(WEAK, least))
+        """Inter-area damping ratio that a design is asked for."""
+        return self.choices.wanted(self.weakest.damping_ratio)
 
 
-def weak_modes(grid: GridModes) -> WeakModes:
+def weak_modes(grid: GridModes, choices: Choices | None = None) -> WeakModes:
     """Return which modes of a grid are to be damped.
+
+    choices : of a person; default none but the grid.
 
     Raises
     ------
     ScenarioError : a grid that grows by itself, with who takes part; no inter-area mode; none that is weak.
     """
     case, targets = grid.case, grid.inter_area
+    choices = choices or Choices(grid=case.name)
     if grid.growing:
         raise ScenarioError(
             f"{case.name}: the grid is unstable without control: {'; '.join(grid.growing)}; make it stable "
@@ -110,13 +112,14 @@ def weak_modes(grid: GridModes) -> WeakModes:
             f"{case.name}: no inter-area mode between {BAND_HZ[0]:g} and {BAND_HZ[1]:g} Hz below a damping "
             f"ratio of {BELOW:g}; nothing to design (areas of the buses decide the names)"
         )
-    if not min(m.damping_ratio for m in targets) < WEAK:
+    least = min(m.damping_ratio for m in targets)
+    if not least < WEAK and not choices.wanted(least) > least:
         listed = ", ".join(in_words(m) for m in targets)
         raise ScenarioError(
             f"{case.name}: no weak inter-area mode, all have a damping ratio of {WEAK:g} or more: {listed}; "
             "nothing to design"
         )
-    return WeakModes(case, grid.plant, grid.found, targets, grid.weak_others)
+    return WeakModes(case, grid.plant, grid.found, targets, grid.weak_others, choices)
 
 
 def in_words(mode: Mode) -> str:

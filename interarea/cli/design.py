@@ -64,7 +64,7 @@ def design(
     dyr: Annotated[
         Path | None, typer.Option("--dyr", metavar="FILE", help="PSS/E dynamic data of a grid")
     ] = None,
-    minutes: Minutes = 10.0,
+    minutes: Minutes = None,
     json_: Annotated[bool, typer.Option("--json", help="print JSON instead of tables")] = False,
 ) -> None:
     """Design a controller, from a design file or a grid alone; exit code 1 if it misses what was asked.

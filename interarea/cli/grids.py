@@ -199,15 +199,23 @@ def grid_of(name: str, dyr: Path | None = None) -> tuple[Case, list[str]] | None
 
 def _is_case_file(path: Path) -> bool:
     """Whether a TOML file holds a grid, or a change to one; other mistakes are for its own reader."""
+    return bool({"buses", "base"} & _keys_of(path))
+
+
+def is_grid_study(path: Path) -> bool:
+    """Whether a TOML file holds the study of a grid."""
+    return "grid" in _keys_of(path)
+
+
+def _keys_of(path: Path) -> set[str]:
     from interarea.models.documents import DocumentError, parse_toml, read_document
 
     if path.suffix != ".toml" or not path.is_file():
-        return False
+        return set()
     try:
-        table = parse_toml(read_document(path, "a case file"))
+        return set(parse_toml(read_document(path, "a case file")))
     except DocumentError:
-        return False
-    return "buses" in table or "base" in table
+        return set()
 
 
 def _tell(written: Mapping[Path, Sequence[str]], as_json: bool) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -33,9 +34,18 @@ def new(
         ),
     ],
     out: Annotated[Path, typer.Option("--out", metavar="FILE", help="file to write", show_default=False)],
+    grid: Annotated[
+        str, typer.Argument(metavar="GRID", help="of a study: the grid that it is of", show_default=False)
+    ] = "",
+    dyr: Annotated[
+        Path | None, typer.Option("--dyr", metavar="FILE", help="PSS/E dynamic data of GRID")
+    ] = None,
     json_: FileAsJson = False,
 ) -> None:
-    """Write a commented file to start from: scenario, case, device, controller, design, sweep, study, ..."""
+    """Write a commented file to start from: scenario, case, device, controller, design, sweep, study, ...
+
+    Of the study of a grid: with every choice that there is, and what was found in the grid beside it.
+    """
     there = {file.name.partition(".")[0]: file for file in TEMPLATES.iterdir()}
     if kind not in there:
         raise UserError(f"new {kind}: no such kind of file; {nearest(kind, sorted(there))}")
@@ -45,12 +55,40 @@ def new(
         raise UserError(f"--out {out}: a {kind} is a {suffix} file, allowed: a name that ends so")
     if file_for(out).exists():
         raise UserError(f"--out {out}: is there already, allowed: a new file")
-    text = source.read_text(encoding="utf-8")
-    if suffix == ".toml":  # the line by which editors complete and check
+    if grid:
+        text = _grid_study(kind, grid, dyr, out)
+    else:
+        text = source.read_text(encoding="utf-8")
+    if suffix == ".toml" and not grid:  # the line by which editors complete and check
         text = f"#:schema {(SCHEMAS / f'{kind}.json').as_uri()}\n{text}"
     out.parent.mkdir(parents=True, exist_ok=True)
     out.write_text(text, encoding="utf-8")
     tell_file(out, json_)
+
+
+def _grid_study(kind: str, grid: str, dyr: Path | None, out: Path) -> str:
+    """Return the file of the study of a grid, files named as seen from where it will be."""
+    from interarea.cosim.grid_study.choices import Choices, choices_text
+    from interarea.cosim.grid_study.study import found_in
+    from interarea.fmu_build.write.cache import default_cache
+
+    from .grids import grid_of
+    from .terminal import busy
+
+    loaded = grid_of(grid, dyr) if kind == "study" else None
+    if loaded is None:
+        raise UserError(f"new {kind} {grid}: no grid, allowed: `new study` and a case, .raw or .m file")
+    with busy(f"modes of {loaded[0].name}"):
+        asked, lines = found_in(loaded[0], default_cache())
+    named = {"grid": _seen_from(out, grid), "dyr": None if dyr is None else _seen_from(out, str(dyr))}
+    choices = Choices.model_validate({**named, **asked})
+    return choices_text(choices, lines)
+
+
+def _seen_from(out: Path, name: str) -> str:
+    """Return a file's name relative to the folder of `out`; any other word as it is."""
+    path = Path(name)
+    return os.path.relpath(path.resolve(), out.resolve().parent) if path.is_file() else name
 
 
 def show(

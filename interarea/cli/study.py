@@ -13,6 +13,7 @@ from .terminal import note, stage_progress
 
 if TYPE_CHECKING:
     from interarea.cosim.grid_study.automatic import GridDesign
+    from interarea.cosim.grid_study.choices import Choices
     from interarea.models.case.case import Case
 
 _FILES = (
@@ -20,8 +21,8 @@ _FILES = (
     *("design.toml", "fmus/plant.fmu", "fmus/controller.fmu"),
 )
 Minutes = Annotated[
-    float,
-    typer.Option("--minutes", metavar="MIN", min=0.1, help="of a grid: time for it; the rest is left out"),
+    float | None,
+    typer.Option("--minutes", metavar="MIN", min=0.1, help="of a grid: time (else 10); the rest is left out"),
 ]
 OutFolder = Annotated[
     Path, typer.Option("--out", metavar="DIR", help="folder for the results", show_default=False)
@@ -34,11 +35,11 @@ def study(
         str,
         typer.Argument(
             metavar="GRID|STUDY",
-            help="bundled study or its TOML file; or a grid: case, .raw, .m, or one to download",
+            help="bundled study or a study's TOML file; or a grid: case, .raw, .m, or one to download",
         ),
     ] = "thesis",
     dyr: Annotated[Path | None, typer.Option("--dyr", metavar="FILE", help="PSS/E dynamic data")] = None,
-    minutes: Minutes = 10.0,
+    minutes: Minutes = None,
     second_solver: Annotated[
         bool, typer.Option(help="of a study: solve every LMI by cvxpy with Clarabel too, in a process beside")
     ] = True,
@@ -52,14 +53,39 @@ def study(
     from .grids import grid_of
 
     folder_for(out, files=_FILES)
-    if (grid := grid_of(name, dyr)) is not None:
-        _study_grid(name, dyr, *grid, out, minutes, json_=json_)
+    choices = _choices_of(name, dyr, minutes)
+    grid_dyr = None if choices.dyr is None else Path(choices.dyr)
+    if (grid := grid_of(choices.grid, grid_dyr)) is not None:
+        _study_grid(name, choices, *grid, out, json_=json_)
         return
     _run_study(name, out, second_solver=second_solver, json_=json_)
 
 
+def _choices_of(name: str, dyr: Path | None, minutes: float | None) -> Choices:
+    """Return the choices of a study's file, its files beside it, or none but the grid; options come first."""
+    from interarea.cosim.grid_study.choices import Choices, load_choices
+    from interarea.models.errors import UserError
+
+    from .grids import is_grid_study
+
+    file = Path(name)
+    if not is_grid_study(file):
+        choices = Choices(grid=name, dyr=None if dyr is None else str(dyr))
+    else:
+        if dyr is not None:
+            raise UserError(f"--dyr {dyr}: the study {name} names its grid, allowed: dyr in it")
+        choices = load_choices(file)
+        there = {
+            key: str(file.parent / value)
+            for key, value in (("grid", choices.grid), ("dyr", choices.dyr))
+            if value is not None and (file.parent / value).is_file()
+        }
+        choices = choices.model_copy(update=there)
+    return choices if minutes is None else choices.model_copy(update={"minutes": minutes})
+
+
 def _study_grid(
-    name: str, dyr: Path | None, case: Case, assumptions: list[str], out: Path, minutes: float, *, json_: bool
+    name: str, choices: Choices, case: Case, assumptions: list[str], out: Path, *, json_: bool
 ) -> None:
     from interarea.cosim.grid_study.page import headline
     from interarea.cosim.grid_study.study import STAGES, study_grid
@@ -67,12 +93,13 @@ def _study_grid(
     from interarea.models.case.document import case_names
     from interarea.models.case.write_toml import export_toml
 
-    named = name
-    if name not in case_names():
+    named = choices.grid
+    if named not in case_names():
         out.mkdir(parents=True, exist_ok=True)
         export_toml(case, out / "case.toml")
         named = "case.toml"
-    command = f"interarea study {name}{f' --dyr {dyr}' if dyr else ''} --out {out} --minutes {minutes:g}"
+    dyr = f" --dyr {choices.dyr}" if choices.dyr is not None and name == choices.grid else ""
+    command = f"interarea study {name}{dyr} --out {out} --minutes {choices.minutes:g}"
     with stage_progress(STAGES) as report:
         result = study_grid(
             case,
@@ -81,7 +108,7 @@ def _study_grid(
             named=named,
             assumptions=assumptions,
             command=command,
-            minutes=minutes,
+            choices=choices,
             report=report,
         )
     files = [str(out / name) for name in ("study.json", "report.html")]
@@ -97,9 +124,10 @@ def _study_grid(
         raise typer.Exit(1)
 
 
-def design_for_grid(name: str, case: Case, out: Path, minutes: float) -> tuple[GridDesign, list[Path]]:
+def design_for_grid(name: str, case: Case, out: Path, minutes: float | None) -> tuple[GridDesign, list[Path]]:
     """Make the design of a grid; write the controller, and the design file beside it; return the files."""
     from interarea.cosim.grid_study.automatic import DESIGN_STAGES, design_grid
+    from interarea.cosim.grid_study.choices import MINUTES
     from interarea.cosim.grid_study.clock import Clock
     from interarea.fmu_build.write.cache import default_cache
     from interarea.models.case.document import case_names
@@ -113,7 +141,7 @@ def design_for_grid(name: str, case: Case, out: Path, minutes: float) -> tuple[G
         files.append(file_for(out.with_suffix(".case.toml")))
         named = files[-1].name
     with stage_progress(DESIGN_STAGES) as report:
-        clock, controller = Clock(minutes), _identifier(out.stem)
+        clock, controller = Clock(minutes or MINUTES), _identifier(out.stem)
         done = design_grid(case, default_cache(), clock, name=controller, named=named, report=report)
     out.parent.mkdir(parents=True, exist_ok=True)
     done.controller.save(out)

@@ -8,8 +8,9 @@ from typing import Any
 
 import pytest
 
-from interarea.cosim.grid_study import faults, proposal
+from interarea.cosim.grid_study import faults
 from interarea.cosim.grid_study import study as grid_study
+from interarea.cosim.grid_study.choices import Choices
 from interarea.cosim.grid_study.page import damping_rows, headline
 from interarea.cosim.grid_study.study import STAGES, study_grid
 from interarea.design.errors import InfeasibleDesign
@@ -99,7 +100,7 @@ def test_loops_stand_on_the_page_before_the_first_design(
         raise InfeasibleDesign("no controller", constraint="stability")
 
     monkeypatch.setattr(grid_study, "design_for", stopped)
-    study = study_grid(load_case("two-area-thesis"), tmp_path, default_cache(), minutes=3.0)
+    study = study_grid(load_case("two-area-thesis"), tmp_path, default_cache())
     assert "The best sets of loops by their residues" in seen[0]
     assert '<td class="t">G4_vs</td><td class="n">–</td>' in seen[0]
     assert "not computed yet" in seen[0] and "Not computed" not in seen[0]
@@ -121,14 +122,19 @@ def test_a_study_of_a_grid_from_its_name_alone(
 
     More actuators, which hold here too, take minutes.
     """
-    monkeypatch.setattr(proposal, "MOST_ACTUATORS", 1)
     monkeypatch.setattr(faults, "LIMITS_PU", (0.05,))
     done: dict[str, float] = {}
 
     def report(stage: str, share: float) -> None:
         done[stage] = share
 
-    study = study_grid(load_case("two-area-thesis"), tmp_path, default_cache(), report=report)
+    study = study_grid(
+        load_case("two-area-thesis"),
+        tmp_path,
+        default_cache(),
+        choices=Choices(grid="two-area-thesis", most_actuators=1),
+        report=report,
+    )
     assert set(done) == set(STAGES)
     assert all(share == 1.0 for share in done.values())
     assert study["problem"] is None
