@@ -151,6 +151,7 @@ def machine_dynamics(
             units.take(name, record, *_row(record, own, records, report))
     units.take_the_rest(1.0 if converters_as_current else 0.0)
     rows = {name: row for name, row in units.rows.items() if name not in units.constant}
+    report.lines += _without_controls(rows)
     return Dynamics(rows, units.where, units.constant)
 
 
@@ -220,6 +221,20 @@ class _Units:
             self.constant[name] = exponent
             place = f"{self.path}: bus {bus}, {identity!r}"
             self.report.assume(f"unit without DYR record taken as {kind}", place)
+
+
+def _without_controls(rows: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Return a line for exciters and governors that some units have a record of and others not."""
+    lines = []
+    for kind, instead in (("exciter", "field voltage"), ("governor", "mechanical power")):
+        concerned = {name: row for name, row in rows.items() if row.get("model") == "round_rotor"}
+        missing = [name for name, row in concerned.items() if kind not in row]
+        if missing and len(missing) < len(concerned):
+            listed = ", ".join(missing[:5]) + (", ..." if len(missing) > 5 else "")
+            lines.append(
+                f"no {kind} record: {len(missing)} of {len(concerned)} units ({listed}), {instead} constant"
+            )
+    return lines
 
 
 def _row(

@@ -34,6 +34,8 @@ _IGNORED = frozenset(
         *("load type", "interface", "interface element"),
     ]
 )
+#: fields of the longest record of any version, owners included; two on one line have more
+_MOST = {"bus": 15, "load": 20, "fixed shunt": 6, "generator": 32, "branch": 24, "long branch": 36}
 _LINES = {"two-terminal dc": 3, "VSC dc": 3}
 _SECOND_QUOTED = re.compile(r"\s*[^,\s'\"]+\s*[,\s]\s*['\"]")
 _ZERO = re.compile(r"\s*(?:0|'0\s*'|\"0\s*\")\s*(?:$|[,/\s])")
@@ -64,10 +66,14 @@ class RawFile:
         if not groups:
             return
         position = fields(section, self.version)
+        most = _MOST.get("long branch" if section == "branch" and self.version >= 34 else section)
         for (number, text), *rest in groups:
             where = f"{self.path}:{number}"
             parts = tuple(self.record(section, line, {}) for line in rest)
-            yield Record(section, split_words(text, where), where, position, parts)
+            record = Record(section, split_words(text, where), where, position, parts)
+            if most is not None and len(record.words) > most:
+                raise record.refused(f"{len(record.words)} fields, allowed: {most} (are two on one line?)")
+            yield record
 
     def record(self, kind: str, line: Line, position: dict[str, int] | None = None) -> Record:
         """Return `line` as a record of `kind`."""
@@ -173,6 +179,8 @@ def _cut(raw: RawFile, body: list[Line]) -> None:
             k, end = _next_text(body, k + count)
         if groups:
             raw.groups[section] = raw.groups.get(section, []) + groups
+        if end is _End.SECTION:
+            split_words(body[k][1], f"{raw.path}:{body[k][0]}")  # refuses a record in its comment
         if end is _End.FILE and k > start and section in _NEEDED:
             raise CaseError(
                 f"{raw.path}:{body[-1][0]}: the file ends inside the {section} data, allowed: a line with 0 "

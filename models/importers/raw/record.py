@@ -83,7 +83,10 @@ class Record:
 
     def identity(self, name: str, default: str = "1") -> str:
         """Return field `name` as an identifier: `'1 '` is `1`, `'a'` is `A`, `1.0` stays as it is."""
-        return self.text(name, default).strip().upper() or default
+        word = self.text(name, default).strip().upper() or default
+        if "," in word or "'" in word:
+            raise self.wrong(name, repr(word), "an identifier of two characters (is a quote lost?)")
+        return word
 
     def wrong(self, name: str, got: str, allowed: str) -> CaseError:
         """Return the error for field `name`."""

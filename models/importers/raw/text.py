@@ -23,6 +23,9 @@ _WORD = re.compile(
     re.VERBOSE,
 )
 
+#: what a comment behind a record or the end of a section does not look like: a bus, a word and two numbers
+_HIDDEN = re.compile(r"\d\s*,\s*('[^']*'|[-+.\d]+)\s*,\s*[-+]?[.\d][-+.\deEdD]*\s*,\s*[-+]?[.\d]")
+
 
 def read_lines(path: Path) -> list[str]:
     """Return the lines of the text file `path`, unpacked if it is gzip, xz or bzip2 (told by its content).
@@ -72,7 +75,13 @@ def split_words(text: str, where: str) -> tuple[str, ...]:
     >>> split_words("1, 'A/B, C ',, 2.5  'O'NEIL' / comment", "")
     ('1', 'A/B, C', '', '2.5', "O'NEIL")
     """
-    return split_record(text, where)[0]
+    words, behind = split_record(text, where)
+    if behind is not None and _HIDDEN.search(behind):
+        raise CaseError(
+            f"{where}: a record stands behind the / that ends this one, allowed: comment; put it on a line "
+            f"of its own: {behind.strip()[:40]}"
+        )
+    return words
 
 
 def split_record(text: str, where: str) -> tuple[tuple[str, ...], str | None]:
@@ -93,11 +102,19 @@ def split_record(text: str, where: str) -> tuple[tuple[str, ...], str | None]:
                 words.append("")
             after_comma = True
             continue
-        if bare[:1] in ("'", '"'):
-            raise CaseError(f"{where}: a quote ({bare[:1]}) is not closed: {bare[:40]}")
+        _check_quotes(bare, single, double, where)
         words.append(bare or (single or double).strip())
         after_comma = False
     return tuple(words), None
+
+
+def _check_quotes(bare: str, single: str, double: str, where: str) -> None:
+    """Refuse a word whose quotes are not a pair round it; one of the three is the word."""
+    if bare[:1] in ("'", '"'):
+        raise CaseError(f"{where}: a quote ({bare[:1]}) is not closed: {bare[:40]}")
+    word, quote = (double, '"') if double else (bare or single, "'")
+    if word[-1:] == quote or (single or double)[:1] == quote or bare[-1:] == '"':
+        raise CaseError(f"{where}: a quote too many or too few, in {word[:40]}")
 
 
 def _split_plain(text: str) -> tuple[str, ...]:
