@@ -41,7 +41,7 @@ class Cost:
 
 def measured_work(
     pipe: Connection,
-    lifeline: Connection,
+    parent_pipe: Connection,
     shared: Any,
     document: dict[str, Any],
     cache: Path,
@@ -64,7 +64,7 @@ def measured_work(
         notes.write_text(json.dumps(spent), encoding="utf-8")
 
     Runner.outcomes = timed  # type: ignore[method-assign]
-    work(pipe, lifeline, shared, document, cache, scratch)
+    work(pipe, parent_pipe, shared, document, cache, scratch)
 
 
 @contextmanager

@@ -12,7 +12,7 @@ import interarea as ia
 s = control.tf("s")
 shape = -0.02 * (5 * s / (1 + 5 * s)) * (1 + 0.25 * s) / (1 + 0.05 * s) / (1 + 0.02 * s)
 K = control.ss(shape)
-mine = control.ss(
+controller = control.ss(
     K.A, K.B @ np.array([[1.0, -1.0]]), K.C, np.zeros((1, 2)), inputs=["G2_dw", "G4_dw"], outputs=["G4_vs"]
 )
 
@@ -23,5 +23,5 @@ study = {
     "event": [{"kind": "vref_pulse", "machine": "G1", "size_pu": 0.05, "start_s": 1.0, "end_s": 1.2}],
 }
 without = ia.simulate(study)
-with_it = ia.simulate(study, controller=mine)
+with_it = ia.simulate(study, controller=controller)
 print(f"inter-area damping {without.damping_ratio():.3f} -> {with_it.damping_ratio():.3f}")

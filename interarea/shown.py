@@ -68,7 +68,7 @@ class SwingModes(Modes):
                 "real": mode.eigenvalue.real,
                 "imag": mode.eigenvalue.imag,
                 "share": mode.share,
-                "doubt": mode.doubt,
+                "doubt": mode.caveat,
             }
             for name, mode in self.items()
         ]

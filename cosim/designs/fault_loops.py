@@ -22,7 +22,7 @@ from interarea.design.controllers.bank import ControllerBank
 from interarea.design.controllers.controller import Controller
 from interarea.design.delay.curves import delayed_loop, rightmost_roots
 from interarea.design.delay.signal_conditions import Condition
-from interarea.design.linear.matrices import STANDING
+from interarea.design.linear.matrices import ZERO_EIGENVALUE
 from interarea.models.case.case import Case
 from interarea.models.case.variants import operating_variant
 from interarea.models.grid.powerflow import PowerFlowError
@@ -113,8 +113,8 @@ def _dense_end(
     plant: control.StateSpace, K: control.StateSpace, lost: Sequence[str], late: dict[str, float]
 ) -> LoopEnd:
     roots = rightmost_roots(delayed_loop(plant, K, late, lost=lost), right_of=_LEFT)
-    moving = roots[np.abs(roots) > STANDING]
+    moving = roots[np.abs(roots) > ZERO_EIGENVALUE]
     if not moving.size:
         return LoopEnd(True, complex(_LEFT))
     root = complex(moving[int(np.argmax(moving.real))])
-    return LoopEnd(bool(roots.real.max() < STANDING), complex(root.real, abs(root.imag)))
+    return LoopEnd(bool(roots.real.max() < ZERO_EIGENVALUE), complex(root.real, abs(root.imag)))

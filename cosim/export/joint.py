@@ -16,11 +16,11 @@ from ..master.graph import Connection, End
 from ..master.isolated import participant_of
 from ..master.master import Master
 from ..master.plan import LoopPlan
+from ..results.accumulators import Accumulators
 from ..results.delay_ledger import DelayLedger, LedgerRow, packet_ledger
 from ..results.judge import Judge
 from ..results.metrics import METRICS, RING_DOWN
 from ..results.run import Run
-from ..results.tally import Tally
 from ..run.controllers import ControllerLike
 from ..run.linear_loop import linear_swings
 from ..run.run import system_of
@@ -73,7 +73,7 @@ def run_joint(
     return Run(
         trajectory=trajectory,
         ledger=ledger,
-        packets=packet_ledger(trajectory, Tally.of(trajectory, loaded.lines)),
+        packets=packet_ledger(trajectory, Accumulators.of(trajectory, loaded.lines)),
         explanation=f"step {1e3 * members.step_s:g} ms, {_HOW}\n{ledger}",
         warnings=tuple(system.warnings),
         scenario=loaded,

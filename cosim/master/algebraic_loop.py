@@ -76,7 +76,7 @@ _LEAST_SCALE = 1e-4  # of the nominal value: a signal smaller than that is measu
 def iterate_loop(
     group: LoopSet, nodes: Mapping[str, Node], signals: list[Signal], step: Step, tolerance: float
 ) -> int:
-    """Step the members of a loop until its torn `signals` end as supposed; return how often it was repeated.
+    """Step the members of a loop until its tearing `signals` end as supposed; return how many repetitions.
 
     A signal's unknowns are its value and H times its slope at the end of the step. Changes are judged against
     the largest value the signal has had; the slope's weight is 1/8, what it can move the cubic by.
@@ -155,10 +155,10 @@ def initialise(graph: Graph, nodes: Mapping[str, Node], tick: int, tolerance: fl
         node.take_start(tick, slopes=False)
     worst = 0.0
     for group in graph.groups:
-        if not group.torn:
+        if not group.tearing:
             _sweep(group.members, nodes, tick)
             continue
-        tearing = {str(c.source): c.source for c in group.torn}
+        tearing = {str(c.source): c.source for c in group.tearing}
         signals = [_signal(nodes[e.instance], e.variable) for _, e in sorted(tearing.items())]
         worst = max(worst, _solve(group.members, signals, nodes, tick, tolerance))
     return worst

@@ -25,9 +25,9 @@ class FmuLog(Log):
     def __init__(self, name: str, now_s: Callable[[], float | None]) -> None:
         super().__init__()
         self.name, self._now_s = name, now_s
-        self.forget()
+        self.clear()
 
-    def forget(self) -> None:
+    def clear(self) -> None:
         """Begin a new run."""
         self.lines: list[Line] = []
         self.beyond = 0  #: lines that were not kept
@@ -46,9 +46,9 @@ class FmuLog(Log):
         self.warnings[call] += times
 
     def news(self) -> News:
-        """Return what came since the last call of this method, and forget it."""
+        """Return what came since the last call of this method, and clear it."""
         news = (self.lines, self.beyond, dict(self.warnings), self.first_s)
-        self.forget()
+        self.clear()
         return news
 
     def merge(self, news: News) -> None:

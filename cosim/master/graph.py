@@ -48,14 +48,14 @@ class Connection:
 
 @dataclass(frozen=True)
 class LoopSet:
-    """Participants stepped together, in this order; `torn` connections run against it."""
+    """Participants stepped together, in this order; `tearing` connections run against it."""
 
     members: tuple[str, ...]
-    torn: tuple[Connection, ...] = ()
+    tearing: tuple[Connection, ...] = ()
 
     @property
     def is_loop(self) -> bool:
-        return bool(self.torn)
+        return bool(self.tearing)
 
 
 @dataclass(frozen=True)
@@ -207,12 +207,12 @@ def _group(
     if not inside:
         return LoopSet(part)
 
-    def torn(order: tuple[str, ...]) -> list[Connection]:
+    def tearing(order: tuple[str, ...]) -> list[Connection]:
         place = {name: k for k, name in enumerate(order)}
         return [c for c in inside if place[c.source.instance] >= place[c.target.instance]]
 
     def cost(order: tuple[str, ...]) -> tuple[int, int, tuple[str, ...]]:
-        against = torn(order)
+        against = tearing(order)
         direct = sum(
             any(c.target.variable in used for used in descriptions[c.target.instance].feedthrough.values())
             for c in against
@@ -223,7 +223,7 @@ def _group(
         best = min(itertools.permutations(part), key=cost)
     else:
         best = _greedy(part, inside)
-    return LoopSet(best, tuple(torn(best)))
+    return LoopSet(best, tuple(tearing(best)))
 
 
 def _greedy(part: tuple[str, ...], inside: Sequence[Connection]) -> tuple[str, ...]:

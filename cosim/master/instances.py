@@ -123,7 +123,7 @@ class FmuParticipant:
 
     def begin(self, start_s: float, stop_s: float) -> None:
         """Instantiate (first time) or reset, set start values and enter initialisation."""
-        self.log.forget()
+        self.log.clear()
         if self._fmu is None:
             self._instantiate()
         else:

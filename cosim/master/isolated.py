@@ -90,7 +90,7 @@ class _Worker(ABC):
         if self._process is None or self._process.poll() is not None:
             self._spawn()
         self._unsent = None
-        self.log.forget()
+        self.log.clear()
         self._ask("set_start", self._start_values())
         self._ask("bind", self.bound_inputs, self.bound_slopes)
         self.time_s = start_s

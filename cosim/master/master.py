@@ -39,7 +39,7 @@ from .kernel.build import kernel_or_reason
 from .kernel.kernel import Kernel, run_kernels, why_not
 from .node import Node
 from .plan import Engine, LoopPlan
-from .records import Fork, Records, Saved, Sink
+from .records import Fork, Records, Sink, Snapshot
 from .signals import Signal
 from .step_choice import clock_of, latency_ticks, step_and_reason
 from .stepping import Stepping, make_nodes, make_signals
@@ -270,7 +270,7 @@ class Master:
 
     # -- saving ---------------------------------------------------------------------------
 
-    def save(self) -> Saved:
+    def save(self) -> Snapshot:
         """Return the state between two steps, to `restore` as often as wanted (fork a run)."""
         if self._index < 0:
             self.start()
@@ -278,49 +278,49 @@ class Master:
             if not p.description.saves_state:
                 raise GraphError(f"{n} cannot save its state (canGetAndSetFMUstate): no fork of this run")
         states = {n: p.save() for n, p in self.participants.items()}
-        return Saved(self._index, states, tuple(s.copy() for s in self.signals), self._records.count)
+        return Snapshot(self._index, states, tuple(s.copy() for s in self.signals), self._records.count)
 
-    def restore(self, saved: Saved) -> None:
+    def restore(self, snapshot: Snapshot) -> None:
         """Go back to `saved`; the records up to then are kept as they are."""
         for n, p in self.participants.items():
-            p.restore(saved.states[n])
-        for s, retained in zip(self.signals, saved.signals, strict=True):
+            p.restore(snapshot.states[n])
+        for s, retained in zip(self.signals, snapshot.signals, strict=True):
             s.paste(retained)
-        self._index, self._records.count = saved.index, saved.rows
+        self._index, self._records.count = snapshot.index, snapshot.rows
 
-    def release(self, saved: Saved) -> None:
+    def release(self, snapshot: Snapshot) -> None:
         """Free the participants' part of `saved`."""
         for n, p in self.participants.items():
-            p.release(saved.states[n])
+            p.release(snapshot.states[n])
 
     def fork(self) -> Fork:
         """Return the beginning up to now, for `take_over`; `release` its `saved` when it is not needed."""
-        saved = self.save()
+        snapshot = self.save()
         counts = (self.residual, self.repeated, self.rolled_back, self.ran)
-        times, records = (a[: saved.rows].copy() for a in (self._records.times, self._records.values))
-        return Fork(saved, self.ends[: saved.index], times, records, counts)
+        times, records = (a[: snapshot.rows].copy() for a in (self._records.times, self._records.values))
+        return Fork(snapshot, self.ends[: snapshot.index], times, records, counts)
 
     def take_over(self, fork: Fork) -> bool:
         """Go on from another master's beginning as if it were this one's; both have the same structure.
         False: nothing was done: other communication points up to there, or an FMU in another process."""
-        saved = fork.saved
-        if self.ends[: saved.index] != fork.ends or len(self._stopping) < len(self.participants):
+        snapshot = fork.snapshot
+        if self.ends[: snapshot.index] != fork.ends or len(self._stopping) < len(self.participants):
             return False
         for p in self._stopping:
             p.resume(seconds(fork.ends[-1] if fork.ends else self.clock.start))
-        self.restore(saved)
-        self._records.times[: saved.rows] = fork.times
-        self._records.values[: saved.rows] = fork.records
+        self.restore(snapshot)
+        self._records.times[: snapshot.rows] = fork.times
+        self._records.values[: snapshot.rows] = fork.records
         self.residual, self.repeated, self.rolled_back, self.ran = fork.counts
         return True
 
     # -- private --------------------------------------------------------------------------
 
     def _planned(self, group: LoopSet) -> tuple[LoopSet, list[Node], list[Signal] | None]:
-        """Return a group, its nodes, and when it is iterated its torn signals."""
+        """Return a group, its nodes, and when it is iterated its tearing signals."""
         iterated = group.members in self.stepping.iterated
-        torn = self.stepping.torn_signals(group) if iterated else None
-        return group, [self.nodes[n] for n in group.members], torn
+        tearing = self.stepping.tearing_signals(group) if iterated else None
+        return group, [self.nodes[n] for n in group.members], tearing
 
     def _once(self, step: Step) -> None:
         """Do one step, and no more."""
@@ -329,12 +329,12 @@ class Master:
                 p.stops_early = not too_short(step)
         for s in self.signals:
             s.begin(step.start, step.edge)
-        for group, nodes, torn in self._order:
-            if torn is None:
+        for group, nodes, tearing in self._order:
+            if tearing is None:
                 for node in nodes:
                     node.advance(step)
             else:
-                self.repeated += iterate_loop(group, self.nodes, torn, step, self.plan.tolerance)
+                self.repeated += iterate_loop(group, self.nodes, tearing, step, self.plan.tolerance)
         for s in self.signals:
             s.accept(step.start, step.end, step.edge)
 
@@ -361,7 +361,7 @@ class Master:
             self.nodes,
             self.signals,
             self.stepping.groups,
-            self.stepping.torn_signals,
+            self.stepping.tearing_signals,
             self.stepping.iterated,
             self.clock.steps,
             tolerance=self.plan.tolerance,

@@ -66,7 +66,7 @@ class Records:
 
 
 @dataclass(frozen=True)
-class Saved:
+class Snapshot:
     """A master between two steps: states of all participants and what the master itself remembers."""
 
     index: int
@@ -79,7 +79,7 @@ class Saved:
 class Fork:
     """A beginning that several masters can share: the state after it, what was recorded and counted."""
 
-    saved: Saved
+    snapshot: Snapshot
     ends: array[int]
     times: npt.NDArray[np.float64]
     records: npt.NDArray[np.float64]

@@ -91,12 +91,12 @@ class Stepping:
         self._holds, self._loops, self._tolerance = inputs.startswith("hold"), loops, tolerance
         waits = inputs != "hold-jacobi"  # where nobody waits for anybody everyone is a group
         self.groups = list(graph.groups) if waits else [LoopSet((name,)) for name in descriptions]
-        self.iterated = {g.members for g in self.groups if g.torn and self._iterates(g)}
+        self.iterated = {g.members for g in self.groups if g.tearing and self._iterates(g)}
 
-    def torn_signals(self, group: LoopSet) -> list[Signal]:
+    def tearing_signals(self, group: LoopSet) -> list[Signal]:
         """Return the signals of a loop that run against its order and are not held."""
-        torn = {str(c.source) for c in group.torn}
-        return [s for s in self._signals if s.name in torn and s.kind != "held"]
+        tearing = {str(c.source) for c in group.tearing}
+        return [s for s in self._signals if s.name in tearing and s.kind != "held"]
 
     def how(self, group: LoopSet) -> str:
         """Return in words what is done with a loop."""

@@ -32,7 +32,7 @@ from ..master.graph import Connection
 from ..master.master import Master
 from ..scenario.channels import Delays
 from ..trajectory import Trajectory
-from .tally import Tally
+from .accumulators import Accumulators
 
 
 @dataclass(frozen=True)
@@ -204,14 +204,14 @@ class PacketLedger:
 PACKET_COUNTS = ("sent", "delivered", "dropped", "late")
 
 
-def packet_ledger(trajectory: Trajectory, tally: Tally) -> PacketLedger:
-    """Return what the channels counted by the end of a run: from its last part, and the tally of all.
+def packet_ledger(trajectory: Trajectory, accumulators: Accumulators) -> PacketLedger:
+    """Return what the channels counted by the end of a run: from its last part, and what all parts add up to.
 
     Of a channel without packets the age of its information is told: at the end, and mean and largest over
     the communication points.
     """
     rows: dict[str, dict[str, float]] = {}
-    for name in tally.channels:
+    for name in accumulators.channels:
         row: dict[str, float] = {}
         for count in PACKET_COUNTS:
             if f"{name}.{count}" in trajectory:
@@ -221,8 +221,8 @@ def packet_ledger(trajectory: Trajectory, tally: Tally) -> PacketLedger:
         else:
             arrived = row.get("delivered", 0.0) + row.get("dropped", 0.0) + row.get("late", 0.0)
             row["on their way"] = row["sent"] - arrived
-        if name in tally.ages:
-            age = tally.ages[name]
+        if name in accumulators.ages:
+            age = accumulators.ages[name]
             row |= {"age": age.last, "age mean": age.mean, "age max": age.largest}
         if row:
             rows[name] = row

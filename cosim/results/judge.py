@@ -16,7 +16,8 @@ from interarea.models.case.events import instants
 from ..scenario.scenario import Scenario
 from ..trajectory import Trajectory
 from . import metrics as m
-from .excursion import machines_judged, parts_of
+from .accumulators import Accumulators, Curves, Settling, Squares
+from .largest_deviation import machines_judged, parts_of
 from .ringdown import (
     Swing,
     disturbance_end_s,
@@ -27,7 +28,6 @@ from .ringdown import (
     samples_of,
     speeds_of,
 )
-from .tally import Curves, Settling, Squares, Tally
 from .verdict import RULE, Motion
 
 if TYPE_CHECKING:
@@ -196,7 +196,7 @@ def motion_of(case: Case, scenario: Scenario, stop_s: float) -> Motion:
 class Gathered:
     """All that is gathered of a run: counts, judge (None without a case), curves for the figure."""
 
-    tally: Tally
+    accumulators: Accumulators
     judge: Judge | None
     curves: Curves
 
@@ -207,13 +207,13 @@ class Gathered:
 
     def count(self, part: Trajectory) -> None:
         """Take a part that is kept elsewhere."""
-        self.tally.add(part)
+        self.accumulators.add(part)
         if self.judge is not None:
             self.judge.add(part)
 
     def _needed(self, judge: Judge, part: Trajectory) -> list[str]:
         """Columns that the figure draws, and what channels count."""
-        counts = [n for n in part.units if n.rpartition(".")[0] in self.tally.channels]
+        counts = [n for n in part.units if n.rpartition(".")[0] in self.accumulators.channels]
         return [*speeds_of(judge.case), *part.reals_of("controller"), *counts]
 
 

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from . import matrix_pencil as pencil
-from .tally import Samples, Settling, Squares
+from .accumulators import Samples, Settling, Squares
 from .verdict import Verdict
 
 Array = npt.NDArray[np.float64]

@@ -18,7 +18,7 @@ from ..master.master import Master
 from ..scenario.scenario import Scenario
 from ..trajectory import Trajectory
 from . import metrics as m
-from .tally import Samples
+from .accumulators import Samples
 
 if TYPE_CHECKING:
     from interarea.models.case.case import Case

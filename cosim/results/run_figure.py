@@ -16,8 +16,8 @@ from matplotlib.ticker import MaxNLocator
 from interarea.models.case.events import instants
 
 from ..plots.curves import DASHES, MUTED, SERIES, STYLE, new_figure
+from .accumulators import DRAWN, Curves
 from .ringdown import speeds_of
-from .tally import DRAWN, Curves
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

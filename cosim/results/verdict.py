@@ -19,8 +19,8 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from .excursion import OUT_OF_STEP_DEG
-from .tally import Samples
+from .accumulators import Samples
+from .largest_deviation import OUT_OF_STEP_DEG
 
 Array = npt.NDArray[np.float64]
 SETTLED, SLOW, STANDING, GROWING, LOST = VERDICTS = (

@@ -9,8 +9,8 @@ from interarea.models.blocks.pmu import PmuFilter
 
 from ..errors import StepError
 from ..master.master import Master
+from ..results.accumulators import Accumulators
 from ..results.delay_ledger import delay_ledger, explain, packet_ledger
-from ..results.tally import Tally
 from ..scenario.channels import ChannelLine, Delays
 from ..scenario.concentrators import ConcentratorLine
 from ..trajectory import Trajectory
@@ -19,7 +19,7 @@ from ..trajectory import Trajectory
 def fields_of_result(
     master: Master,
     trajectory: Trajectory,
-    tally: Tally,
+    accumulators: Accumulators,
     *,
     pmus: Mapping[str, PmuFilter],
     channels: Mapping[str, ChannelLine | ConcentratorLine],
@@ -36,8 +36,8 @@ def fields_of_result(
     return {
         "trajectory": trajectory,
         "ledger": ledger,
-        "packets": packet_ledger(trajectory, tally),
+        "packets": packet_ledger(trajectory, accumulators),
         "explanation": explain(master, ledger),
-        "warnings": (*warnings, *tally.warnings, *of_fmus, *ended),
+        "warnings": (*warnings, *accumulators.warnings, *of_fmus, *ended),
         "fmu_log": tuple(line for log in master.fmu_logs for line in log.as_text()),
     }

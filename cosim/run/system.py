@@ -44,13 +44,13 @@ from ..master.master import Master
 from ..master.plan import LoopPlan
 from ..master.records import Sink
 from ..participant import Participant
+from ..results.accumulators import Accumulators, Curves
 from ..results.judge import Gathered, Judge
 from ..results.latency_test import SelfTest
 from ..results.metrics import METRICS, RING_DOWN
 from ..results.result import Result
 from ..results.ringdown import Swing, control_limit_pu
 from ..results.run import Run
-from ..results.tally import Curves, Tally
 from ..scenario.channels import ChannelLine, hold_packets, points_of
 from ..scenario.concentrators import ConcentratorLine
 from ..scenario.scenario import Scenario
@@ -197,7 +197,7 @@ class System:
     def put(self, instance: Instance) -> System:
         self._free(instance.name)
         if self.strict:
-            instance.file.refuse_breaches()
+            instance.file.require_conforming()
         self.warnings += {instance.file.warning} - {"", *self.warnings}
         self.parts[instance.name] = instance
         return self
@@ -386,7 +386,7 @@ class System:
         if self.scenario is not None and self.swing is not None:
             until = {"step_s": master.step_s, "stop_s": self.stop_s if stop_s is None else stop_s}
             judge = Judge(self.case, self.swing, self.scenario, **until, wanted=wanted)
-        return Gathered(Tally(tuple(self.channels)), judge, Curves(master.recorded))
+        return Gathered(Accumulators(tuple(self.channels)), judge, Curves(master.recorded))
 
     def result(
         self, master: Master, gathered: Gathered | None = None, failed: StepError | None = None
@@ -400,7 +400,7 @@ class System:
             gathered = self.gathered(master, float(done.time_s[-1]))
             gathered.count(done)
         common = fields_of_result(
-            *(master, done, gathered.tally),
+            *(master, done, gathered.accumulators),
             pmus=self.pmus,
             channels=self.channels,
             rounded=self.rounded,

@@ -22,7 +22,7 @@ from ..explorer.page import write_where_held
 from ..maps.page import plain
 from ..plots.curves import DASHES, MUTED, SERIES, STYLE, WIDTH
 from ..plots.html import page_environment, page_figure
-from ..results.excursion import OUT_OF_STEP_DEG
+from ..results.largest_deviation import OUT_OF_STEP_DEG
 from ..results.verdict import GROWING, STANDING
 from .screening import PLACE, Outcome, Screening
 

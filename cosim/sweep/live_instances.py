@@ -22,7 +22,7 @@ from ..errors import ScenarioError
 from ..master.instances import FmuParticipant
 from ..master.instances import Value as Start
 from ..master.master import Master
-from ..results.excursion import Excursion, excursion_of, machines_judged
+from ..results.largest_deviation import LargestDeviation, largest_deviation_of, machines_judged
 from ..results.metrics import SYNCHRONISM
 from ..results.ringdown import control_limit_pu, disturbance_end_s
 from ..run.artefacts import EVENT_SLOTS, plant_fmu
@@ -31,7 +31,7 @@ from ..run.system import System
 from ..trajectory import Trajectory
 from .plan import SweepPlan, own_fmu
 from .point import CaseChange, Point
-from .rows import Row, excursion_row, measured, packet_counts
+from .rows import Row, deviation_row, measured, packet_counts
 from .shared_start import Beginning, Instances, Job, beginning_of, taken_over
 
 KEPT = 4  #: plants, and sets of instances, that stay alive
@@ -149,15 +149,15 @@ class Kept:
         packets = [packet_counts(self.master.participants[name]) for name in self.system.channels]
         row = measured(metrics, wanted, modes, packets)
         if SYNCHRONISM in wanted:
-            row |= excursion_row(self.excursion(trajectory))
+            row |= deviation_row(self.largest_deviation(trajectory))
         return row
 
-    def excursion(self, trajectory: Trajectory) -> Excursion:
+    def largest_deviation(self, trajectory: Trajectory) -> LargestDeviation:
         """Return the extremes of the run that has come to its end, of its `trajectory`."""
         scenario = self.system.scenario
         assert scenario is not None
         case = self.system.case
-        return excursion_of(
+        return largest_deviation_of(
             trajectory, case, disturbance_end_s(scenario), machines_judged(case, scenario.event)
         )
 
@@ -179,7 +179,7 @@ class Kept:
     def release(self, after_s: float = -math.inf) -> None:
         """Free the beginnings that reach beyond `after_s`."""
         while self.beginnings and self.beginnings[-1].until_s > after_s:
-            self.master.release(self.beginnings.pop().fork.saved)
+            self.master.release(self.beginnings.pop().fork.snapshot)
 
     def close(self) -> None:
         self.release()

@@ -200,7 +200,7 @@ def _kept_fmu(path: Path, cache: Path, strict: bool) -> str:
     """
     file = FmuFile(path)
     if strict:
-        file.refuse_breaches()
+        file.require_conforming()
     file.close()
     key = file_hash(path)
     artefact(cache, "own", key, ".fmu", lambda place: shutil.copyfile(path, place))

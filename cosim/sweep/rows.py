@@ -13,7 +13,7 @@ from typing import Any
 import pyarrow as pa
 
 from ..results.delay_ledger import PACKET_COUNTS
-from ..results.excursion import Excursion
+from ..results.largest_deviation import LargestDeviation
 from ..results.metrics import SYNCHRONISM, Metrics
 from ..results.verdict import NOT_JUDGED, RULE, VERDICTS
 from ..trajectory import Trajectory
@@ -39,7 +39,7 @@ _COLUMNS = {
 }
 Row = dict[str, Any]
 #: column of `SYNCHRONISM` -> type, unit, meaning
-_EXCURSION = {
+_DEVIATION = {
     "synchronous": (pa.bool_(), "", "no two machines came half a turn apart"),
     "angle_deg": (pa.float64(), "deg", "largest angle between two machines"),
     "voltage_pu": (pa.float64(), "pu", "lowest voltage after the last event"),
@@ -133,7 +133,7 @@ def _measured_fields(plan: SweepPlan, signal: str) -> list[pa.Field]:
         if name in requested:
             fields.append(_field(column, pa.float64(), unit, text))
     if SYNCHRONISM in requested:
-        fields += [_field(c, *rest) for c, rest in _EXCURSION.items()]
+        fields += [_field(c, *rest) for c, rest in _DEVIATION.items()]
     if "packets" in requested:
         fields += [_field(c, pa.int64(), "", f"packets {w}, all channels") for c, w in PACKETS.items()]
     return fields
@@ -172,9 +172,9 @@ def measured(
     return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in row.items()}
 
 
-def excursion_row(excursion: Excursion) -> Row:
+def deviation_row(largest_deviation: LargestDeviation) -> Row:
     """Return the columns of `SYNCHRONISM`."""
-    return {column: getattr(excursion, column) for column in _EXCURSION}
+    return {column: getattr(largest_deviation, column) for column in _DEVIATION}
 
 
 def packet_counts(participant: Any) -> dict[str, float]:

@@ -29,7 +29,7 @@ from .rows import Outcome, Row, failed_row, start_row, trajectory_table
 from .shared_start import (
     Instances,
     Job,
-    acts_of,
+    actions_of,
     in_order,
     late_parameters,
     place_of,
@@ -54,7 +54,7 @@ class Runner:
         beside = lanes_here(cache)
         self.library = beside.library  #: that steps plants side by side
         self.lanes = beside.count  #: runs that advance side by side at most
-        self._alone: set[PlantKey | None] = set()  # plants that gain nothing by company
+        self._unbatched: set[PlantKey | None] = set()  # plants that gain nothing by company
         self.shares = True  #: whether runs start from states that others left
         self.on_build: Callable[..., object] = _nothing  #: called with the run (or runs) that are begun
         self.on_start: Callable[[], object] = _nothing  #: called when their FMUs are ready to compute
@@ -74,7 +74,7 @@ class Runner:
         jobs = self._jobs(runs)
         k = 0
         while k < len(jobs):
-            count = 1 if plant_key(jobs[k]) in self._alone else how_many(jobs[k:], self.lanes)
+            count = 1 if plant_key(jobs[k]) in self._unbatched else how_many(jobs[k:], self.lanes)
             if count > 1:
                 yield from self._outcomes_together(jobs[k : k + count])
             else:
@@ -119,7 +119,7 @@ class Runner:
             return bool(self.simulate(values, seed=seed)[0].measure(("stable",), ())["stable"])
         try:
             retained, trajectory = self.simulate(values, seed=seed)
-            return retained.excursion(trajectory).synchronous
+            return retained.largest_deviation(trajectory).synchronous
         except StepError:  # voltages have collapsed
             self._free_instances()
             return False
@@ -150,7 +150,7 @@ class Runner:
             with suppress(Exception):  # what is wrong with a point is told when it is run
                 job = replace(job, point=point_of(sweep, job.values, base=self._packed), base=base)
                 if forks and job.point is not None:
-                    job = replace(job, acts=acts_of(job.point.scenario))
+                    job = replace(job, actions=actions_of(job.point.scenario))
             described.append(job)
         jobs = in_order(described) if forks else described
         return by_plant(jobs) if self.lanes > 1 else jobs
@@ -183,7 +183,7 @@ class Runner:
         watch = self._watch()
         begun = self._all_begun(ready, ended, watch)
         if begun and not has_lanes(begun[0][1]):
-            self._alone.add(plant_key(jobs[0]))
+            self._unbatched.add(plant_key(jobs[0]))
         masters = [retained.master for _, retained, _ in begun]
         result = advance_together(masters, watch=lambda _, now_s, stop_s: watch(now_s, stop_s))
         ended |= {job.run: error for (job, _, _), error in zip(begun, result, strict=True)}
@@ -197,11 +197,11 @@ class Runner:
         elif ready:
             ready[0][1].release(jobs[-1].like_next_s)
         yield from outcomes
-        yield from map(self._outcome_alone, late)
+        yield from map(self._outcome_unbatched, late)
 
-    def _outcome_alone(self, job: Job) -> Outcome:
+    def _outcome_unbatched(self, job: Job) -> Outcome:
         """Return what a job gives that has lost by company; its plant has none from now on."""
-        self._alone.add(plant_key(job))
+        self._unbatched.add(plant_key(job))
         return self._outcome([replace(job, like_next_s=-math.inf)], 0)
 
     def _made_ready(
@@ -256,8 +256,8 @@ class Runner:
         first, master = ready[0][1], kept.master
         forked = kept.start(job, instances, first.beginnings)
         if kept is first:
-            alike_s = min(common_s([job for job, _, _ in ready]), seconds(master.clock.stop))
-            place = place_of(alike_s, master)
+            shared_s = min(common_s([job for job, _, _ in ready]), seconds(master.clock.stop))
+            place = place_of(shared_s, master)
             if place is not None:
                 kept.leave(job, instances, place, watch)
         return forked

@@ -27,7 +27,7 @@ from .values import Value
 _LEAST_STEPS = 20  # of communication that a fork must save: what saving and taking over cost, twice
 _NEW_CLOCK_STEPS = 300  # what a run costs more when its communication points are not those of the run before
 _TIMED = ("event[", "outage[")
-Act = tuple[float, str]
+Action = tuple[float, str]
 Instances = Mapping[str, Instance]
 
 
@@ -42,7 +42,7 @@ class Job:
     values: Mapping[str, Value]
     point: Point | None = None
     base: tuple[Value, ...] = ()
-    acts: tuple[Act, ...] = ()
+    actions: tuple[Action, ...] = ()
     like_next_s: float = -math.inf
 
 
@@ -67,30 +67,30 @@ def late_parameters(sweep: Sweep) -> frozenset[str]:
     )
 
 
-def acts_of(scenario: Scenario) -> tuple[Act, ...]:
+def actions_of(scenario: Scenario) -> tuple[Action, ...]:
     """Return what acts in a scenario from an instant on, in order of time."""
-    acts: list[Act] = []
+    actions: list[Action] = []
     for k, event in enumerate(scenario.event):
         what = event.model_dump(exclude={"start_s", "end_s"})
-        acts.append((event.start_s, f"event {k} {what}"))
+        actions.append((event.start_s, f"event {k} {what}"))
         end = getattr(event, "end_s", None)
         if end is not None:
-            acts.append((end, f"event {k} ends"))
+            actions.append((end, f"event {k} ends"))
     for name, channel in scenario.channels.items():
         for k, (start, end) in enumerate(channel.outages_s):
-            acts += [(start, f"{name} outage {k}"), (end, f"{name} outage {k} ends")]
-    return tuple(sorted(acts))
+            actions += [(start, f"{name} outage {k}"), (end, f"{name} outage {k} ends")]
+    return tuple(sorted(actions))
 
 
-def alike_until_s(one: Job, other: Job) -> float:
+def shared_until_s(one: Job, other: Job) -> float:
     """Return when two jobs first differ: -inf where they differ throughout, inf where they are the same."""
     if one.point is None or other.point is None or one.base != other.base:
         return -math.inf
-    for a, b in zip(one.acts, other.acts, strict=False):
+    for a, b in zip(one.actions, other.actions, strict=False):
         if a != b:
             return min(a[0], b[0])
-    longer = max(one.acts, other.acts, key=len)
-    shorter = min(len(one.acts), len(other.acts))
+    longer = max(one.actions, other.actions, key=len)
+    shorter = min(len(one.actions), len(other.actions))
     return longer[shorter][0] if len(longer) > shorter else math.inf
 
 
@@ -100,7 +100,7 @@ def in_order(jobs: Sequence[Job]) -> list[Job]:
     first: dict[tuple[Value, ...], int] = {}
     for job in jobs:
         first.setdefault(job.base, len(first))
-    linked = _linked(sorted(jobs, key=lambda job: (first[job.base], job.acts)))
+    linked = _linked(sorted(jobs, key=lambda job: (first[job.base], job.actions)))
     more = _cost_s(linked) - _cost_s(provided)
     several = len({job.point.scenario.marks_s for job in jobs if job.point is not None}) > 1
     # sorted, one fork at a time is enough for instants that move
@@ -108,7 +108,7 @@ def in_order(jobs: Sequence[Job]) -> list[Job]:
 
 
 def _linked(jobs: Sequence[Job]) -> list[Job]:
-    likes = [alike_until_s(a, b) for a, b in pairwise(jobs)]
+    likes = [shared_until_s(a, b) for a, b in pairwise(jobs)]
     return [replace(job, like_next_s=like) for job, like in zip(jobs, [*likes, -math.inf], strict=False)]
 
 
@@ -169,7 +169,7 @@ def timed_of(instances: Instances) -> dict[str, dict[str, Start]]:
 
 def taken_over(beginning: Beginning, job: Job, master: Master, instances: Instances) -> bool:
     """Put a master where `beginning` is, with the parameters of `job`; False: it cannot start there."""
-    if not alike_until_s(beginning.job, job) >= beginning.until_s or not master.take_over(beginning.fork):
+    if not shared_until_s(beginning.job, job) >= beginning.until_s or not master.take_over(beginning.fork):
         return False
     now = timed_of(instances)
     for name, participant in master.participants.items():

@@ -36,7 +36,7 @@ from interarea.models.mistakes import meant, mistakes
 from interarea.models.table import ShortName, Table, Title
 
 from ..errors import SweepError, nearest
-from ..results.excursion import SHOWN
+from ..results.largest_deviation import SHOWN
 from ..results.metrics import METRICS, SYNCHRONISM
 from ..scenario.document import scenario_document
 from ..scenario.scenario import Scenario, load_scenario

@@ -20,7 +20,7 @@ from ..delay.curves import DelayError, delayed_loop, rightmost_roots, track_gain
 from ..delay.signal_conditions import Condition
 from ..errors import UncertifiedDesign
 from ..linear.linearise import select
-from ..linear.matrices import STANDING
+from ..linear.matrices import ZERO_EIGENVALUE
 from ..linear.norms import hinf_of
 from ..linear.systems import state_space
 from ..modes.modes import Modes, damping_ratio
@@ -131,7 +131,7 @@ def _condition_row(
         poles = _delayed_poles(plant, K, modes, poles, condition)
     return {
         "condition": condition.name,
-        "stable": bool(rightmost.real < STANDING),
+        "stable": bool(rightmost.real < ZERO_EIGENVALUE),
         "damping_ratio": {name: damping_ratio(p) for name, p in poles.items()},
         "rightmost": [rightmost.real, rightmost.imag],
     }
@@ -195,8 +195,8 @@ def effort(plant: control.StateSpace, K: control.StateSpace) -> float:
     G = select(plant, list(K.output_labels), list(K.input_labels))
     A, D = closed_loop_matrix(plant, K), np.asarray(K.D)
     B, C = np.vstack([G.B @ K.D, np.asarray(K.B)]), np.hstack([K.D @ G.C, np.asarray(K.C)])
-    if np.abs(np.linalg.eigvals(A)).min(initial=np.inf) < STANDING:
-        A, B, C, D = separate_slow(A, B, C, D, STANDING).stable
+    if np.abs(np.linalg.eigvals(A)).min(initial=np.inf) < ZERO_EIGENVALUE:
+        A, B, C, D = separate_slow(A, B, C, D, ZERO_EIGENVALUE).stable
     return float(hinf_of(A, B, C, D).value)
 
 
@@ -220,7 +220,7 @@ def loss_criterion(plant: control.StateSpace, K: control.StateSpace, kept: str |
     if not names:
         return 0.0
     G = select(plant, list(K.output_labels), names)
-    standing = bool(np.abs(np.linalg.eigvals(np.asarray(G.A))).min(initial=np.inf) < STANDING)
+    standing = bool(np.abs(np.linalg.eigvals(np.asarray(G.A))).min(initial=np.inf) < ZERO_EIGENVALUE)
     return largest_real_gain(
         K,
         names,

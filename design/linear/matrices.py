@@ -11,7 +11,7 @@ import numpy.typing as npt
 Matrix = npt.NDArray[np.float64]
 
 #: 1/s: eigenvalues of a smaller modulus stand at 0 (`standing`), and a real part up to it is no growth
-STANDING = 1e-6
+ZERO_EIGENVALUE = 1e-6
 
 
 @dataclass(frozen=True)

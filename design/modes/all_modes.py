@@ -13,7 +13,7 @@ import numpy as np
 from ..linear.matrices import LinearMatrices
 from ..linear.resolvent import Loop, OpenLoop
 from ..linear.sparse_plant import SparsePlant
-from ..linear.standing import Standing, standing_of
+from ..linear.zero_eigenvalues import ZeroEigenvalues, zero_eigenvalues_of
 from .growth import WHOLE
 from .mode_count import RIGHT, SLOWEST, Count, OnTheLine, Rectangle, Region, count_modes
 from .mode_search import Pair, Search
@@ -52,7 +52,7 @@ class AllModes:
     below: float
     moved: tuple[str, ...]
     residual: float
-    standing: Standing
+    zero_eigenvalues: ZeroEigenvalues
     near_zero: int
     searched: int
     factorisations: int
@@ -60,12 +60,12 @@ class AllModes:
     @property
     def rotation(self) -> bool:
         """Whether turning all rotors together moves nothing (no infinite bus)."""
-        return self.standing.rotation
+        return self.zero_eigenvalues.rotation
 
     @property
     def growing_slowly(self) -> int:
         """Eigenvalues slower than the band that grow, or decay within hours; none of them stands at 0."""
-        return self.near_zero - self.standing.count
+        return self.near_zero - self.zero_eigenvalues.count
 
     @property
     def unstable(self) -> tuple[Mode, ...]:
@@ -75,12 +75,13 @@ class AllModes:
     @property
     def remarks(self) -> tuple[str, ...]:
         """What a table of the modes does not say, in words."""
-        message = [f"largest residual {self.residual:.1e}", *self.standing.remarks]
+        message = [f"largest residual {self.residual:.1e}", *self.zero_eigenvalues.remarks]
         slow = f"below {self.band_hz[0]:g} Hz, counted independently: {self.near_zero} do not decay, "
         if self.growing_slowly:
             message.append(
-                f"{slow}of which {self.standing.count} stand at 0 and {self.growing_slowly} grow: unstable; "
-                "a lower --band finds those that swing, a real one is a voltage or a control that runs away"
+                f"{slow}of which {self.zero_eigenvalues.count} stand at 0 and {self.growing_slowly} grow: "
+                "unstable; a lower --band finds those that swing, a real one is a voltage or a control that "
+                "runs away"
             )
         elif self.near_zero > 1:
             message.append(f"{slow}all of them stand at 0 for the reasons above, none grows")
@@ -114,7 +115,7 @@ class AllModes:
             "moved": list(self.moved),
             "residual": self.residual,
             "rotation": self.rotation,
-            "standing": self.standing.as_dict(),
+            "standing": self.zero_eigenvalues.as_dict(),
             "near_zero": self.near_zero,
             "unstable": [mode.name for mode in self.unstable],
             "modes": rows,
@@ -161,8 +162,8 @@ def all_modes(
             f"{len(pairs)} modes found but {count.modes} counted between {low:g} and {high:g} Hz below a "
             f"damping ratio of {below:g}; a narrower band or another limit says where they differ"
         )
-    standing = standing_of(plant, loop)
-    slow = _near_zero(exact, region, standing)
+    zero_eigenvalues = zero_eigenvalues_of(plant, loop)
+    slow = _near_zero(exact, region, zero_eigenvalues)
     hz = (region.band[0] / (2.0 * np.pi), region.band[1] / (2.0 * np.pi))
     return AllModes(
         modes=_named(plant, pairs, areas, _swings(plant, areas) if loop is None else {}),
@@ -171,7 +172,7 @@ def all_modes(
         below=region.below,
         moved=region.moved,
         residual=max((p.residual for p in pairs), default=0.0),
-        standing=standing,
+        zero_eigenvalues=zero_eigenvalues,
         near_zero=slow.modes,
         searched=search.factorisations,
         factorisations=count.factorisations + slow.factorisations,
@@ -210,20 +211,20 @@ def _counted(exact: _Exact, asked: Region) -> tuple[Region, Count]:
     raise ModeError(f"modes lie on every line tried: {'; '.join(region.moved)}; choose another band or limit")
 
 
-def _near_zero(exact: _Exact, region: Region, standing: Standing) -> Count:
+def _near_zero(exact: _Exact, region: Region, zero_eigenvalues: ZeroEigenvalues) -> Count:
     """Count what is slower than the band and does not decay."""
-    known = [*(p.value for p in exact.pairs), *([0j] * standing.count)]
+    known = [*(p.value for p in exact.pairs), *([0j] * zero_eigenvalues.count)]
     for k, left in enumerate(_LEFT):
         slow = Rectangle(left, RIGHT, region.band[0] * (1.0 - 0.01 * k))
         try:
             result = count_modes(exact.search.loop, slow, known)
         except OnTheLine:
             continue
-        if result.modes >= standing.count:
+        if result.modes >= zero_eigenvalues.count:
             return result
     raise ModeError(
-        f"{standing.count} eigenvalues stand at 0 by the way the plant is built, but could not be counted "
-        f"below {region.band[0] / (2.0 * np.pi):g} Hz; choose another lower end of the band"
+        f"{zero_eigenvalues.count} eigenvalues stand at 0 by the way the plant is built, but could not be "
+        f"counted below {region.band[0] / (2.0 * np.pi):g} Hz; choose another lower end of the band"
     )
 
 

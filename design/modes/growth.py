@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import eig, matrix_balance
 
-from ..linear.matrices import STANDING
+from ..linear.matrices import ZERO_EIGENVALUE
 from ..linear.resolvent import Loop, OpenLoop
 from ..linear.sparse_plant import SparsePlant
 from .mode_count import SLOWEST, OnTheLine, all_that_grows, count_modes
@@ -116,7 +116,7 @@ def growth_of_spectrum(
     """Return the verdict on all eigenvalues of A (n, n), 1/s; left : w as columns with w^T A = lambda w^T."""
     n = len(values)
     if n == 0:
-        return Growth((), 0, 0, STANDING)
+        return Growth((), 0, 0, ZERO_EIGENVALUE)
     error = _errors(A, left, right)
     grows = np.flatnonzero(values.real > error)
     order = grows[np.argsort(-values.real[grows], kind="stable")]
@@ -131,7 +131,7 @@ def growth_of_spectrum(
 def growth_of(A: Matrix, labels: Sequence[str]) -> Growth:
     """Return the verdict on all eigenvalues of A (n, n), 1/s; labels : names of its states."""
     if not len(A):
-        return Growth((), 0, 0, STANDING)
+        return Growth((), 0, 0, ZERO_EIGENVALUE)
     values, left, right = eig(np.asarray(A, dtype=float), left=True, right=True)
     return growth_of_spectrum(A, labels, np.asarray(values, dtype=complex), left.conj(), right)
 
@@ -206,4 +206,6 @@ def _errors(A: Matrix, left: ComplexMatrix, right: ComplexMatrix) -> Matrix:
         error = _ACCURACY * norm * condition
     # of a Jordan block of two it is the root, of whatever condition its halves seem to have
     most = np.sqrt(_ACCURACY * max(norm, 1.0))
-    return np.asarray(np.clip(np.nan_to_num(error, nan=most, posinf=most), STANDING, max(most, STANDING)))
+    return np.asarray(
+        np.clip(np.nan_to_num(error, nan=most, posinf=most), ZERO_EIGENVALUE, max(most, ZERO_EIGENVALUE))
+    )

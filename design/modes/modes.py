@@ -88,13 +88,12 @@ class Mode:
         """Return name, frequency, damping and the machines that swing most, with their phases, in a line."""
         most = sorted(self.shape.items(), key=lambda item: -abs(item[1]))[:4]
         swing = ", ".join(f"{name} {abs(z):.2f} at {np.degrees(np.angle(z)):.0f} deg" for name, z in most)
-        doubt = f"; {self.doubt}" if self.doubt else ""
-        return (
-            f"Mode({self.name}: {self.frequency_hz:.4f} Hz, damping {self.damping_ratio:.4f}; {swing}{doubt})"
-        )
+        caveat = f"; {self.caveat}" if self.caveat else ""
+        head = f"{self.name}: {self.frequency_hz:.4f} Hz, damping {self.damping_ratio:.4f}"
+        return f"Mode({head}; {swing}{caveat})"
 
     @property
-    def doubt(self) -> str:
+    def caveat(self) -> str:
         """Why the name is not certain, in words; empty when it is."""
         listed = ", ".join(f"{z.real:.4g}{z.imag:+.4g}j" for z in self.rivals)
         return f"{self.name} could as well be the mode at {listed}" if listed else ""
@@ -180,7 +179,7 @@ def modes_of(
     relative to all states of the mode, and N - 1 = (areas - 1) + sum (n_k - 1) names are given out so that
     the total is largest. So a controller's own mode, which drives the machines along, is not taken for
     a swing mode of the closed loop. A mode with less than `least_share` in its pattern is
-    called ``mixed``; one whose name another mode fits nearly as well tells it (`Mode.doubt`). A reduced
+    called ``mixed``; one whose name another mode fits nearly as well says so (`Mode.caveat`). A reduced
     model has no states that are speeds: there shapes alone decide, v for both, on the N - 1 modes that ring
     most. Several modes of one kind are numbered by frequency: ``inter-area 1``,
     ``local area 2.1``.

@@ -11,7 +11,7 @@ from scipy.linalg import matrix_balance, schur, solve_sylvester
 
 from interarea.models.errors import UserError
 
-from ..linear.matrices import STANDING
+from ..linear.matrices import ZERO_EIGENVALUE
 from ..linear.norms import gramian_factor
 from ..linear.systems import LinearSystemError, state_space
 
@@ -87,7 +87,7 @@ def matrices(system: control.StateSpace, what: str = "system") -> tuple[Matrix, 
     return A, B, C, D
 
 
-def mode_name(value: complex, zero: float = STANDING) -> str:
+def mode_name(value: complex, zero: float = ZERO_EIGENVALUE) -> str:
     """Name an eigenvalue that a reduction keeps or removes."""
     if abs(value) <= zero:
         return "zero mode"
@@ -102,7 +102,7 @@ def separate(
     C: Matrix,
     D: Matrix,
     *,
-    margin: float = STANDING,
+    margin: float = ZERO_EIGENVALUE,
 ) -> Split:
     """Block-diagonalise: eigenvalues with Re < -margin on one side, all others on the other.
 

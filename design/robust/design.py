@@ -19,7 +19,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from ..errors import InfeasibleDesign
-from ..linear.matrices import STANDING
+from ..linear.matrices import ZERO_EIGENVALUE
 from ..linear.norms import gramian_factor
 from ..lmi.solve import one_blas_thread
 from ..reduction.gramians import projections
@@ -97,7 +97,7 @@ def design_robust(
             value = objective(theta)[0]
             report(what, 1.0, value)
     rightmost, worst = objective.worst(theta)
-    if not rightmost < STANDING:
+    if not rightmost < ZERO_EIGENVALUE:
         raise InfeasibleDesign(
             f"robust design: no controller of order {spec.order} kept all {len(objective.models)} design "
             f"models stable in {spec.starts} starts (largest real part {rightmost:.3g} 1/s); raise the "

@@ -43,7 +43,7 @@ DIFFERENCE = 1e-5
 #: eigenvalues whose second derivatives are added at once: some ten MB
 TOGETHER = 256
 #: a step counts that gains this share of what was foreseen; the next one is held back less, more
-ACCEPTED, FREER, HELD = 0.05, 0.8, 0.2
+ACCEPTED, RELAXED, HELD = 0.05, 0.8, 0.2
 
 
 def newton_descent(
@@ -87,7 +87,7 @@ def newton_descent(
                 theta, value = tried, reached
                 break
             held *= 4.0
-        if tries == 1 and ratio > FREER:
+        if tries == 1 and ratio > RELAXED:
             held = max(0.2 * held, 1e-9)
         elif not ratio > HELD:
             held *= 2.0
@@ -156,8 +156,8 @@ class Expansion:
         active, curved = self.bounds[over > 0.0], self.curvature @ move
         gradient = mean + curved + 2.0 * over[over > 0.0] @ active
         # rounding must not leave a product of the rows with itself unsymmetrical
-        kinks = (rows - mean) * np.sqrt(share)[:, None]
-        return gradient, self.curvature + self.rho * kinks.T @ kinks + 2.0 * active.T @ active
+        differences = (rows - mean) * np.sqrt(share)[:, None]
+        return gradient, self.curvature + self.rho * differences.T @ differences + 2.0 * active.T @ active
 
     def least(self, held: float) -> tuple[Array, float]:
         """Return the move of least value, `held` / 2 times its square added, and by how much `value` falls.

@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ..linear.matrices import STANDING
+from ..linear.matrices import ZERO_EIGENVALUE
 from .spectra import eigensystems, eigenvalues
 from .swing_penalty import SwingPenalty
 
@@ -297,7 +297,9 @@ class Objective:
         da = np.where(fast, b**2 / m**3, 1.0 / SLOW_RADIUS) + 2.0 * away
         db = np.where(fast, -a * b / m**3, 0.0) + slope * np.sign(b)
         standing = (
-            (modulus < COMMON_SPEED) & (a < STANDING) & (modulus <= modulus.min(axis=-1, keepdims=True))
+            (modulus < COMMON_SPEED)
+            & (a < ZERO_EIGENVALUE)
+            & (modulus <= modulus.min(axis=-1, keepdims=True))
         )
         return np.where(standing, -1.0, offset + a / m + away**2), np.where(standing, 0.0, da - 1j * db)
 

@@ -9,7 +9,7 @@ from time import monotonic
 
 import numpy as np
 
-from ..linear.matrices import STANDING
+from ..linear.matrices import ZERO_EIGENVALUE
 from .first_guess import first_guess
 from .newton import newton_descent
 from .smoothed_objective import Array, BandOffsets, Objective
@@ -107,7 +107,7 @@ def stabilised(
     """
     free, count = replace(objective, efforts=(), swing=None), 0
     for _ in range(STABILISING):
-        if objective.worst(theta)[0] < STANDING or over():
+        if objective.worst(theta)[0] < ZERO_EIGENVALUE or over():
             break
         theta, used = descend(free, theta)
         count += used

@@ -16,8 +16,8 @@ from ..finding import Report
 from ..write.cache import host_machine
 from ..write.compile import PLATFORMS, host_platform
 from .archive import read_checked, unpack_checked
-from .breaches import mended
 from .description import ModelDescription, ScalarVariable, read_description
+from .deviations import mended
 from .images import FOLDERS, ImageError, read_image
 from .ports import Description, Port, Type
 from .units import UnitOf
@@ -38,7 +38,7 @@ class FmuFile:
     """An FMU, checked; its files are unpacked where its `folder` is asked for, until `close` or the end.
 
     interface : "CoSimulation", which the master steps, or "ModelExchange".
-    breaches : what breaks the standard in its description, does no harm here and was put right (`mended`).
+    deviations : what breaks the standard in its description, does no harm here and was put right (`mended`).
 
     Raises
     ------
@@ -48,7 +48,7 @@ class FmuFile:
     def __init__(self, path: str | Path, interface: str = "CoSimulation") -> None:
         self.path = Path(path)
         self.interface = interface
-        self.model, names, self.breaches = _looked_at(self.path, interface)
+        self.model, names, self.deviations = _looked_at(self.path, interface)
         folders = {n.split("/")[1] for n in names if n.startswith("binaries/") and n.count("/") > 1}
         self._platform = next((f for f in host_folders() if f in folders), None)
         if self._platform is None:
@@ -62,15 +62,15 @@ class FmuFile:
 
     @property
     def warning(self) -> str:
-        """A line on `breaches`; "" where there are none."""
-        if not self.breaches:
+        """A line on `deviations`; "" where there are none."""
+        if not self.deviations:
             return ""
-        more = f" and {len(self.breaches) - 1} more" if len(self.breaches) > 1 else ""
-        return f"{self.path.name}: its {DESCRIPTION} breaks the standard: {self.breaches[0]}{more}"
+        more = f" and {len(self.deviations) - 1} more" if len(self.deviations) > 1 else ""
+        return f"{self.path.name}: its {DESCRIPTION} breaks the standard: {self.deviations[0]}{more}"
 
-    def refuse_breaches(self) -> None:
+    def require_conforming(self) -> None:
         """Raise FmuFileError where the description breaks the standard, harmless or not."""
-        if self.breaches:
+        if self.deviations:
             raise FmuFileError(f"{self.warning}; it does no harm: without strict = true it runs")
 
     @property
@@ -217,10 +217,10 @@ def _looked_at(path: Path, interface: str) -> tuple[ModelDescription, list[str],
     model = read_description(root)
     if interface not in model.interfaces:
         raise FmuFileError(f"{path.name}: has no {_PARTS[interface]} part, which is needed here")
-    model, breaches, trouble = mended(model, interface, lambda text: _number(text, None))
+    model, deviations, trouble = mended(model, interface, lambda text: _number(text, None))
     if trouble:
         raise FmuFileError(f"{path.name}: its {DESCRIPTION} breaks the standard: {trouble}")
-    return model, content[0], breaches
+    return model, content[0], deviations
 
 
 def host_folders() -> tuple[str, ...]:

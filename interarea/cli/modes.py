@@ -288,8 +288,8 @@ def _print_modes(title: str, result: Mapping[str, Mode], count: int) -> None:
         ],
     )
     for mode in result.values():
-        if mode.doubt:
-            typer.echo(mode.doubt)
+        if mode.caveat:
+            typer.echo(mode.caveat)
     if not result:
         typer.echo("no mode there; a machine alone has nothing to swing against, --band lists other modes")
 

@@ -51,7 +51,7 @@ def opened(path: Path, scratch: Path, *, strict: bool = False) -> str:
         file = FmuFile(path)
         try:
             if strict:
-                file.refuse_breaches()
+                file.require_conforming()
             assert file.binary.is_file() and file.description.title and file.enumerations is not None
         finally:
             file.close()

@@ -13,10 +13,10 @@ from interarea.cosim.sweep.workers.worker import UnderWay
 
 
 def crashing_work(
-    pipe: Connection, lifeline: Connection, shared: Any, document: Any, cache: Path, scratch: Path
+    pipe: Connection, parent_pipe: Connection, shared: Any, document: Any, cache: Path, scratch: Path
 ) -> None:
     """Stand in for a worker whose run 2 ends the process, and whose run 4 never comes back."""
-    del lifeline, document, cache, scratch
+    del parent_pipe, document, cache, scratch
     under_way = UnderWay(shared)
     while (runs := pipe.recv()) is not None:
         for run in runs:
@@ -31,10 +31,10 @@ def crashing_work(
 
 
 def together_work(
-    pipe: Connection, lifeline: Connection, shared: Any, document: Any, cache: Path, scratch: Path
+    pipe: Connection, parent_pipe: Connection, shared: Any, document: Any, cache: Path, scratch: Path
 ) -> None:
     """Stand in for a worker that has three runs under way at once; run 4 ends its process each time."""
-    del lifeline, document, cache, scratch
+    del parent_pipe, document, cache, scratch
     under_way = UnderWay(shared)
     while (runs := pipe.recv()) is not None:
         for k in range(0, len(runs), 3):
@@ -49,7 +49,7 @@ def together_work(
 
 
 def idle_work(
-    pipe: Connection, lifeline: Connection, shared: Any, document: Any, cache: Path, scratch: Path
+    pipe: Connection, parent_pipe: Connection, shared: Any, document: Any, cache: Path, scratch: Path
 ) -> None:
     """Stand in for a worker that cannot start."""
-    del pipe, lifeline, shared, document, cache, scratch
+    del pipe, parent_pipe, shared, document, cache, scratch

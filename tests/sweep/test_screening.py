@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from interarea.cosim.errors import SweepError
-from interarea.cosim.results.excursion import excursion_of
+from interarea.cosim.results.largest_deviation import largest_deviation_of
 from interarea.cosim.run.run import run_scenario
 from interarea.cosim.screen import screening as module
 from interarea.cosim.screen.page import Explorer, write_grid, write_screening
@@ -36,28 +36,30 @@ def made_up(case, *, buses: bool = True) -> Trajectory:
 
 def test_extremes_of_a_run_are_those_of_its_curves() -> None:
     case = load_case(CASE)
-    found = excursion_of(made_up(case), case, 0.5)
+    found = largest_deviation_of(made_up(case), case, 0.5)
     assert found.angle_deg == pytest.approx(np.degrees(3 * 0.9)) and found.synchronous
     last = case.buses[-1]
     assert found.voltage_pu == pytest.approx(0.8 - 0.01 * (len(case.buses) - 1))
     assert found.voltage_at == f"bus{last.number}"
     assert found.nadir_hz == pytest.approx(case.frequency_hz * 0.98)
     assert found.zenith_hz == pytest.approx(case.frequency_hz * 1.04)
-    without = excursion_of(made_up(case, buses=False), case, 0.5)
+    without = largest_deviation_of(made_up(case, buses=False), case, 0.5)
     assert (without.voltage_pu, without.voltage_at) == (pytest.approx(0.87), case.machines[-1].name)
 
 
 def test_a_tripped_machine_does_not_count() -> None:
     case = load_case(CASE)
     names = [m.name for m in case.machines]
-    assert excursion_of(made_up(case), case, 0.5, names[:-1]).angle_deg == pytest.approx(np.degrees(1.8))
+    assert largest_deviation_of(made_up(case), case, 0.5, names[:-1]).angle_deg == pytest.approx(
+        np.degrees(1.8)
+    )
 
 
 def test_half_a_turn_is_out_of_step() -> None:
     case = load_case(CASE)
     curves = made_up(case)
     curves._columns[f"plant.{case.machines[-1].name}_delta"] = np.array([0.0, 0.0, 0.0, np.pi, 0.0])
-    assert not excursion_of(curves, case, 0.5).synchronous
+    assert not largest_deviation_of(curves, case, 0.5).synchronous
 
 
 SCREENING = Screening(CASE, buses=(8, 5), clearing_s=0.1, stop_s=3.0, step_s=0.02, longest_s=0.8)

@@ -16,7 +16,7 @@ from interarea.cosim.sweep.parts import read_rows, summary_of
 from interarea.cosim.sweep.plan import plan_sweep
 from interarea.cosim.sweep.point import Point, point_of
 from interarea.cosim.sweep.runner import Runner
-from interarea.cosim.sweep.shared_start import Job, alike_until_s, in_order, late_parameters
+from interarea.cosim.sweep.shared_start import Job, in_order, late_parameters, shared_until_s
 from interarea.cosim.sweep.spec import load_sweep
 
 FAULT = {"kind": "bus_fault", "bus": 8, "start_s": 0.2, "end_s": 0.25, "x_pu": 0.01}
@@ -125,26 +125,26 @@ def test_only_what_acts_later_is_shared(document: Any) -> None:
     assert late_parameters(sweep) == frozenset()
 
 
-acts = st.lists(st.tuples(st.sampled_from([1.0, 2.0, 3.0, 4.0]), st.sampled_from("abc")), max_size=4).map(
+actions = st.lists(st.tuples(st.sampled_from([1.0, 2.0, 3.0, 4.0]), st.sampled_from("abc")), max_size=4).map(
     lambda found: tuple(sorted(found))
 )
 
 
-@given(st.lists(acts, min_size=3, max_size=3))
+@given(st.lists(actions, min_size=3, max_size=3))
 def test_the_time_until_which_runs_are_alike_is_an_ultrametric(given_acts: list[Any]) -> None:
     point: Any = Point  # a run that has one; its content does not matter here
-    a, b, c = (Job(k, {}, point, (), acts) for k, acts in enumerate(given_acts))
-    assert alike_until_s(a, b) == alike_until_s(b, a)
-    assert alike_until_s(a, c) >= min(alike_until_s(a, b), alike_until_s(b, c))
-    until = alike_until_s(a, b)
-    assert [x for x in a.acts if x[0] < until] == [x for x in b.acts if x[0] < until]
-    assert (until == math.inf) == (a.acts == b.acts)
+    a, b, c = (Job(k, {}, point, (), actions) for k, actions in enumerate(given_acts))
+    assert shared_until_s(a, b) == shared_until_s(b, a)
+    assert shared_until_s(a, c) >= min(shared_until_s(a, b), shared_until_s(b, c))
+    until = shared_until_s(a, b)
+    assert [x for x in a.actions if x[0] < until] == [x for x in b.actions if x[0] < until]
+    assert (until == math.inf) == (a.actions == b.actions)
 
 
 def test_the_order_is_only_changed_where_that_saves_time(document: Any) -> None:
     def order(parameters: dict[str, Any], base: dict[str, Any]) -> list[int]:
         sweep = load_sweep(document({"event": [FAULT, PULSE], **base}, parameters=parameters))
-        from interarea.cosim.sweep.shared_start import acts_of
+        from interarea.cosim.sweep.shared_start import actions_of
 
         late = late_parameters(sweep)
         jobs = []
@@ -152,7 +152,7 @@ def test_the_order_is_only_changed_where_that_saves_time(document: Any) -> None:
             values = sweep.values(run)
             point = point_of(sweep, values)
             key = tuple(v for name, v in values.items() if name not in late)
-            jobs.append(Job(run, values, point, key, acts_of(point.scenario)))
+            jobs.append(Job(run, values, point, key, actions_of(point.scenario)))
         return [job.run for job in in_order(jobs)]
 
     sizes = {"path": "event.1.x_pu", "values": [0.01, 0.001, 0.1]}

@@ -92,7 +92,7 @@ class KernelNode(ctypes.Structure):
 class KernelGroup(ctypes.Structure):
     """See structures.h."""
 
-    _fields_ = _fields(c_int32, "first count torn n_torn iterated unused")
+    _fields_ = _fields(c_int32, "first count tearing n_tearing iterated unused")
 
 
 DISCARDED = ctypes.CFUNCTYPE(c_int32, c_int32, c_double, c_double)
@@ -103,7 +103,7 @@ class KernelRun(ctypes.Structure):
 
     _fields_ = [
         ("discarded", DISCARDED),
-        *_fields(c_void_p, "nodes signals groups members torn points flags times records spare work"),
+        *_fields(c_void_p, "nodes signals groups members tearing points flags times records spare work"),
         *_fields(c_int64, "index row repeated"),
         *_fields(c_double, "tolerance budget value"),
         *_fields(c_int32, "stop n_nodes n_signals n_groups n_columns node group call status"),

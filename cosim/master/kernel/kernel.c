@@ -172,16 +172,16 @@ static int begin_node(Run *r, const KernelGroup *group)
     return code == KERNEL_OK ? step_node(r, r->step.start_s, r->step.length_s) : code;
 }
 
-/* Loops are stepped until the torn signals end as supposed: algebraic_loop.py. */
+/* Loops are stepped until the tearing signals end as supposed: algebraic_loop.py. */
 static int begin_loop(Run *r, const KernelGroup *group)
 {
     Kernel *k = r->k;
     const double h = r->step.length_s;
     const int code = save_members(k, group);
 
-    r->broyden = broyden_of(k->work, 2 * group->n_torn);
-    for (int i = 0; i < group->n_torn; ++i) {
-        const KernelSignal *s = k->signals + k->torn[group->torn + i];
+    r->broyden = broyden_of(k->work, 2 * group->n_tearing);
+    for (int i = 0; i < group->n_tearing; ++i) {
+        const KernelSignal *s = k->signals + k->tearing[group->tearing + i];
         r->broyden.x[2 * i] = value_at(s->d, h);
         r->broyden.x[2 * i + 1] = h * slope_at(s->d, h);
     }
@@ -196,12 +196,12 @@ static int end_loop(Run *r, const KernelGroup *group)
     Broyden *broyden = &r->broyden;
     const Step *step = &r->step;
     const double h = step->length_s;
-    const int n = group->n_torn;
+    const int n = group->n_tearing;
     double error = 0.0;
     int code;
 
     for (int i = 0; i < n; ++i) {
-        const KernelSignal *s = k->signals + k->torn[group->torn + i];
+        const KernelSignal *s = k->signals + k->tearing[group->tearing + i];
         const double scale = larger(larger(s->peak, fabs(s->v1)), LEAST_SCALE * s->nominal);
         const double value = s->v1 - broyden->x[2 * i];
         const double slope =
@@ -224,7 +224,7 @@ static int end_loop(Run *r, const KernelGroup *group)
     broyden_correct(broyden);
     if ((code = restore_members(k, group)) != KERNEL_OK) return code;
     for (int i = 0; i < n; ++i)
-        signal_know(k->signals + k->torn[group->torn + i], step->start, h, step->edge, broyden->x[2 * i],
+        signal_know(k->signals + k->tearing[group->tearing + i], step->start, h, step->edge, broyden->x[2 * i],
                     broyden->x[2 * i + 1] / h);
     r->member = 0;
     return KERNEL_OK;

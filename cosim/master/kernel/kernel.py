@@ -42,7 +42,7 @@ def why_not(nodes: Mapping[str, Node]) -> str:
 class Kernel:
     """The compiled counterpart of a `Master`'s nodes, signals and groups, for participants that have begun.
 
-    torn : of each group the signals that run against its order; iterated : members of the groups iterated.
+    tearing : of each group the signals that run against its order; iterated : members of the groups iterated.
     times, records : where each recorded point gets its row.
     """
 
@@ -52,7 +52,7 @@ class Kernel:
         nodes: Mapping[str, Node],
         signals: Sequence[Signal],
         groups: Sequence[LoopSet],
-        torn: Callable[[LoopSet], Sequence[Signal]],
+        tearing: Callable[[LoopSet], Sequence[Signal]],
         iterated: Collection[tuple[str, ...]],
         steps: Steps,
         *,
@@ -84,19 +84,19 @@ class Kernel:
         against: list[int] = []
         most = 0
         for mirror, group in zip(k_groups, groups, strict=False):
-            mirror.first, mirror.count, mirror.torn = len(members), len(group.members), len(against)
+            mirror.first, mirror.count, mirror.tearing = len(members), len(group.members), len(against)
             members += [place[name] for name in group.members]
             if group.members in iterated:
                 mirror.iterated = 1
-                against += [number[s.name] for s in torn(group)]
-                mirror.n_torn = len(against) - mirror.torn
-                most = max(most, 2 * mirror.n_torn)
+                against += [number[s.name] for s in tearing(group)]
+                mirror.n_tearing = len(against) - mirror.tearing
+                most = max(most, 2 * mirror.n_tearing)
         run = self._run = built.KernelRun()
         run.discarded = built.DISCARDED(self._discarded)
         self._raised: BaseException | None = None
         run.nodes, run.signals = self._at(self._k_nodes), self._at(self._k_signals)
         run.groups = self._at(k_groups)
-        run.members, run.torn = self._at(_array(c_int32, members)), self._at(_array(c_int32, against))
+        run.members, run.tearing = self._at(_array(c_int32, members)), self._at(_array(c_int32, against))
         points = np.insert(np.frombuffer(steps.ends, dtype=np.int64), 0, steps.start)
         flags = (built.STEP_EDGE * steps.edge + built.STEP_RECORDED * steps.recorded).astype(np.uint8)
         self._keep += [points, flags]

@@ -100,9 +100,9 @@ typedef struct {
 } KernelNode;
 
 /* Nodes stepped together: k->members[first .. first + count). An iterated group
- * ends when the signals k->torn[torn .. torn + n_torn) end as supposed. */
+ * ends when the signals k->tearing[tearing .. tearing + n_tearing) end as supposed. */
 typedef struct {
-    int32_t first, count, torn, n_torn, iterated, unused;
+    int32_t first, count, tearing, n_tearing, iterated, unused;
 } KernelGroup;
 
 /* What to do when fmi2DoStep from `time` over `length` returns fmi2Discard: 0 when
@@ -114,7 +114,7 @@ typedef struct {
     KernelNode *nodes;
     KernelSignal *signals;
     const KernelGroup *groups;
-    const int32_t *members, *torn;
+    const int32_t *members, *tearing;
     const int64_t *points;          /* ends of the steps, before them the start */
     const unsigned char *flags;     /* of each step                             */
     double *times, *records;        /* one row for each recorded point          */

@@ -29,7 +29,7 @@ from ..rows import Outcome, failed_row
 from .worker import STATUS_SIZE, UnderWay, work
 
 _KILLED, _CRASHED = 5, 2  # deaths with the same run under way before it counts as the cause
-_USELESS = 3  # workers that end before their first run
+_MOST_IDLE_EXITS = 3  # workers that end before their first run
 _PAUSES_S = (0.1, 0.2, 0.4, 0.8, 1.6)  # a process that is killed takes calls until it has its turn to end
 _GRACE_S = 5.0  # beyond the time limit, for an FMU that does not come back from a call
 
@@ -43,7 +43,7 @@ class _Worker:
         for pause_s in (*_PAUSES_S, None):
             self.pipe, theirs = context.Pipe()
             shared = context.RawArray("d", STATUS_SIZE)
-            their_end, self._lifeline = context.Pipe(duplex=False)
+            their_end, self._parent_pipe = context.Pipe(duplex=False)
             self.process: BaseProcess = context.Process(
                 target=work, args=(theirs, their_end, shared, plan, cache, self.scratch), daemon=True
             )
@@ -75,7 +75,7 @@ class _Worker:
         self.process.kill()
         self.process.join()
         self.pipe.close()
-        self._lifeline.close()
+        self._parent_pipe.close()
         shutil.rmtree(self.scratch, ignore_errors=True)
 
 
@@ -107,14 +107,14 @@ class _Pool:
         self.again: deque[int] = deque()  # of workers that died
         self.alone: deque[int] = deque()  # of those that were under way together
         self.deaths: Counter[tuple[int, bool]] = Counter()
-        self.started = self.useless = 0
+        self.started = self.idle_exits = 0
         self.limit_s = plan.sweep.time_limit_s + max(_GRACE_S, 0.5 * plan.sweep.time_limit_s)
 
     def start(self, count: int) -> None:
         for _ in range(count):
             if (runs := self._next()) is None:
                 break
-            self._hire(runs)
+            self._start_worker(runs)
 
     def close(self) -> None:
         for worker in self.workers:
@@ -151,13 +151,13 @@ class _Pool:
                     )
                 else:
                     if (runs := self._next()) is None:
-                        self._dismiss(worker)
+                        self._stop_worker(worker)
                         return
                     worker.give(runs)
         except (EOFError, ConnectionError):
-            self._bury(worker, result)
+            self._handle_exit(worker, result)
 
-    def _bury(self, worker: _Worker, result: list[Outcome]) -> None:
+    def _handle_exit(self, worker: _Worker, result: list[Outcome]) -> None:
         """A worker died: its runs are done again, but for one that keeps killing workers.
 
         Of several runs under way together each is done alone then, which shows which of them it is.
@@ -182,23 +182,23 @@ class _Pool:
                     self._failed(run, "worker died", f"the process ended each time: {_ending(code)}")
                 )
         elif not worker.served:
-            self.useless += 1
-            if self.useless >= _USELESS:
+            self.idle_exits += 1
+            if self.idle_exits >= _MOST_IDLE_EXITS:
                 raise SweepError(
                     f"{self.plan.sweep.name}: worker processes end before any run: {_ending(code)}"
                 )
         self.again.extendleft(reversed(worker.todo))
-        self._dismiss(worker)
+        self._stop_worker(worker)
         if (runs := self._next()) is not None:
-            self._hire(runs)
+            self._start_worker(runs)
 
-    def _dismiss(self, worker: _Worker) -> None:
+    def _stop_worker(self, worker: _Worker) -> None:
         with suppress(OSError):
             worker.pipe.send(None)
         self.workers.remove(worker)
         worker.close()
 
-    def _hire(self, runs: list[int]) -> None:
+    def _start_worker(self, runs: list[int]) -> None:
         worker = _Worker(self.started, self.document, self.cache, self.scratch)
         self.started += 1
         self.workers.append(worker)

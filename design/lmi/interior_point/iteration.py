@@ -83,7 +83,7 @@ class Iteration:
             self.Ls.append(np.sqrt(eta) * np.eye(size, dtype=C.dtype))
         self.stopped, self.verdict, self.radius = False, "", 0.0
         self.stale = 0  # iterations in which the bound has not risen
-        self.short = self.stuck = 0  # short steps in a row, short ones before y is feasible
+        self.short = self.stalled = 0  # short steps in a row, short ones before y is feasible
         self.bound = -np.inf  # best lower bound of the objective by the multipliers so far
         self.exact = False  # S is C + F(y) to the last digit
         self.Fz = self._start_multipliers(norms)
@@ -162,13 +162,14 @@ class Iteration:
         )
 
     def _measure(self, at: _Point, expected: Vector | None) -> None:
-        """Set gap and doubt; be careful from now on where the last step left another residual of F*(Z) = c.
+        """Set gap and infeasibility; be careful from now on where the last step left another residual of
+        F*(Z) = c.
 
         expected : what it should have left; None before the first step.
         """
         size = np.abs(self.y)
         self.gap = at.complementarity / at.scale
-        self.doubt = float(np.abs(at.rp) @ size) / at.scale
+        self.infeasibility = float(np.abs(at.rp) @ size) / at.scale
         if expected is not None and float(np.abs(at.rp - expected) @ size) > self.tolerance * at.scale:
             self.normal.careful = True
 
@@ -185,25 +186,26 @@ class Iteration:
         """Raise the lower bound; return whether gap and multipliers are within the tolerance."""
         objective, scale = at.objective, at.scale
         # <C, Z> < 0 here; the bound holds in as far as the optimal |y| is not beyond this one
-        bound = objective - (self.gap + self.doubt) * scale
+        bound = objective - (self.gap + self.infeasibility) * scale
         self.stale = 0 if bound > self.bound + 0.1 * self.tolerance * scale else self.stale + 1
         self.bound = bound if objective < self.bound else max(self.bound, bound)
         return self.gap < self.tolerance and (
-            self.doubt < 10.0 * self.tolerance or objective - self.bound < 11.0 * self.tolerance * scale
+            self.infeasibility < 10.0 * self.tolerance
+            or objective - self.bound < 11.0 * self.tolerance * scale
         )
 
     def _stands_still(self, iteration: int, step: tuple[float, float]) -> bool:
         """Return whether steps have been too short for a while."""
         self.short = self.short + 1 if max(step) < 1e-4 or min(step) < 1e-7 else 0
-        self.stuck = self.stuck + 1 if not self.exact and step[0] < 2e-3 else 0
-        return (self.short >= 3 and iteration >= 12) or self.stuck >= 8
+        self.stalled = self.stalled + 1 if not self.exact and step[0] < 2e-3 else 0
+        return (self.short >= 3 and iteration >= 12) or self.stalled >= 8
 
     def _is_stopped(self, iteration: int, objective: float, step: tuple[float, float]) -> bool:
         """Tell the callback; return whether it wants no more."""
         if self.callback is None:
             return False
         residual = self._residual_norm() / self.start_residual
-        report = Progress(iteration, objective, self.gap, residual, self.doubt, step)
+        report = Progress(iteration, objective, self.gap, residual, self.infeasibility, step)
         self.stopped = bool(self.callback(report))
         return self.stopped
 

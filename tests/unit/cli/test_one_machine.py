@@ -11,7 +11,7 @@ from command_line import invoke
 
 import interarea as ia
 from interarea.cosim.run.artefacts import sparse_linear_plant
-from interarea.design.linear.standing import standing_of
+from interarea.design.linear.zero_eigenvalues import zero_eigenvalues_of
 from interarea.design.modes.all_modes import all_modes
 from interarea.fmu_build.write.cache import default_cache
 from interarea.models.case.case import Case
@@ -112,9 +112,9 @@ def test_modes_against_an_infinite_bus(tmp_path: Path) -> None:
     assert abs(mode.eigenvalue.imag) == pytest.approx(abs(wanted.imag), rel=1e-3)  # the bus has 1e-4 pu
     assert mode.eigenvalue.real == pytest.approx(wanted.real, rel=1e-3)
     plant = sparse_linear_plant(case, default_cache())
-    standing = standing_of(plant)
-    assert (standing.rotation, standing.common_speed, standing.infinite) == (False, False, ("G2",))
-    zeros = np.sum(np.abs(np.linalg.eigvals(plant.state_matrix())) < 1e-5)
+    zeros = zero_eigenvalues_of(plant)
+    assert (zeros.rotation, zeros.common_speed, zeros.infinite) == (False, False, ("G2",))
+    near = np.sum(np.abs(np.linalg.eigvals(plant.state_matrix())) < 1e-5)
     found = all_modes(plant, case.areas, band_hz=(0.1, 3.0), below=0.2)
-    assert standing.count == found.near_zero == zeros == 2
+    assert zeros.count == found.near_zero == near == 2
     assert len(found.modes) == 1

@@ -37,13 +37,13 @@ def test_a_channel_that_covers_the_step_goes_first_and_nothing_loops() -> None:
 def test_a_channel_shorter_than_the_step_leaves_a_loop() -> None:
     graph = build_graph(LOOP, WIRES, step_ticks=10, latency_ticks={"remote": 9})
     assert [set(g.members) for g in graph.groups] == [{"plant", "controller", "remote"}]
-    assert len(graph.groups[0].torn) == 1
+    assert len(graph.groups[0].tearing) == 1
 
 
 def test_a_loop_is_torn_where_nothing_depends_directly() -> None:
     parts = {"a": block(direct=True), "b": block(direct=True), "c": block()}
     graph = build_graph(parts, [("a.y", "b.u"), ("b.y", "c.u"), ("c.y", "a.u")], step_ticks=1)
-    assert [str(c) for c in graph.groups[0].torn] == ["b.y -> c.u"]
+    assert [str(c) for c in graph.groups[0].tearing] == ["b.y -> c.u"]
 
 
 @pytest.mark.parametrize("wires", list(itertools.permutations(WIRES)))

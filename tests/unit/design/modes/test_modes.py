@@ -181,9 +181,9 @@ def test_a_name_that_fits_another_mode_as_well_is_told() -> None:
             poles = [complex(z.real, abs(z.imag)) for z in followed.values()]
             if min(abs(found[mode].eigenvalue - p) for p in poles) > 1e-6:
                 differing += 1
-                assert f"{mode} could as well be the mode at" in found[mode].doubt
+                assert f"{mode} could as well be the mode at" in found[mode].caveat
     assert differing > 0
-    assert not any(m.doubt for m in modes_of(open_loop, AREAS).values())
+    assert not any(m.caveat for m in modes_of(open_loop, AREAS).values())
 
 
 def test_pattern_energies_of_pure_patterns() -> None:

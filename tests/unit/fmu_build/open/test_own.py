@@ -29,7 +29,7 @@ def _facts(file: FmuFile) -> list[object]:
     files = {p.relative_to(file.folder): p.read_bytes() for p in file.folder.rglob("*") if p.is_file()}
     return [
         *(getattr(file.model, f.name) for f in dataclasses.fields(file.model)),
-        *(file.description, file.variables, file.enumerations, file.breaches, file.warning),
+        *(file.description, file.variables, file.enumerations, file.deviations, file.warning),
         *(files, file.binary.relative_to(file.folder), file.path),
     ]
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from interarea.cosim.run.artefacts import sparse_linear_plant
-from interarea.design.linear.matrices import STANDING
+from interarea.design.linear.matrices import ZERO_EIGENVALUE
 from interarea.design.linear.sparse_plant import SparsePlant
-from interarea.design.linear.standing import Standing, standing_of
+from interarea.design.linear.zero_eigenvalues import ZeroEigenvalues, zero_eigenvalues_of
 from interarea.design.modes.all_modes import AllModes, all_modes
 from interarea.fmu_build.write.cache import default_cache
 from interarea.models.case.case import Case, load_case
@@ -65,14 +65,14 @@ def units(folder: Path, names: str, **change: dict[str, float]) -> Case:
     )
 
 
-def seen(case: Case) -> tuple[SparsePlant, Standing, AllModes, np.ndarray]:
+def seen(case: Case) -> tuple[SparsePlant, ZeroEigenvalues, AllModes, np.ndarray]:
     plant = sparse_linear_plant(case, default_cache())
     found = all_modes(plant, case.areas, band_hz=(0.1, 2.5), below=0.2)
-    return plant, standing_of(plant), found, np.linalg.eigvals(plant.state_matrix())
+    return plant, zero_eigenvalues_of(plant), found, np.linalg.eigvals(plant.state_matrix())
 
 
 @cache
-def bundled(name: str) -> tuple[SparsePlant, Standing, AllModes, np.ndarray]:
+def bundled(name: str) -> tuple[SparsePlant, ZeroEigenvalues, AllModes, np.ndarray]:
     return seen(load_case(name))
 
 
@@ -82,11 +82,11 @@ def bundled(name: str) -> tuple[SparsePlant, Standing, AllModes, np.ndarray]:
 )
 def test_rotation_and_common_speed_are_the_dense_zeros(name: str, common: bool) -> None:
     """NETS-NYPS brings a common speed back at 1e-3 1/s: that is no zero."""
-    _, standing, found, values = bundled(name)
-    assert standing.rotation
-    assert standing.common_speed is common
+    _, zero_eigenvalues, found, values = bundled(name)
+    assert zero_eigenvalues.rotation
+    assert zero_eigenvalues.common_speed is common
     near = np.sum((values.real > -1e-4) & (np.abs(values.imag) < 0.2 * np.pi))
-    assert standing.count == found.near_zero == near == 1 + common
+    assert zero_eigenvalues.count == found.near_zero == near == 1 + common
     assert found.growing_slowly == 0
 
 
@@ -94,13 +94,13 @@ def test_rotation_and_common_speed_are_the_dense_zeros(name: str, common: bool) 
 def test_integral_exciters_that_share_a_bus_trade_output(tmp_path: Path, names: str) -> None:
     """As many ways as there are units, less one; gains need not be equal."""
     case = units(tmp_path, names, b={"KIR": 2.0, "KPR": 8.0})
-    plant, standing, found, values = seen(case)
+    plant, zero_eigenvalues, found, values = seen(case)
     machines = tuple(f"G1{k}" for k in names)
-    assert standing.shared_bus == {"1": (machines, len(names) - 1)}
-    assert np.max(np.abs(standing.rows.toarray() @ plant.state_matrix())) < 1e-12
+    assert zero_eigenvalues.shared_bus == {"1": (machines, len(names) - 1)}
+    assert np.max(np.abs(zero_eigenvalues.rows.toarray() @ plant.state_matrix())) < 1e-12
     near = (values.real > -1e-4) & (np.abs(values.imag) < 0.2 * np.pi)
-    assert standing.count == found.near_zero == np.sum(near) == 2 + len(names) - 1
-    assert np.sum(np.abs(values[near]) < STANDING) >= len(names) - 1
+    assert zero_eigenvalues.count == found.near_zero == np.sum(near) == 2 + len(names) - 1
+    assert np.sum(np.abs(values[near]) < ZERO_EIGENVALUE) >= len(names) - 1
     assert np.all(
         np.abs(values[near]) < 1e-5
     )  # QR has the double zero of a common speed to a root of its rounding
@@ -111,18 +111,18 @@ def test_integral_exciters_that_share_a_bus_trade_output(tmp_path: Path, names: 
 
 
 def test_one_of_two_with_proportional_action_leaves_none(tmp_path: Path) -> None:
-    _, standing, found, values = seen(units(tmp_path, "ab", b={"KIR": 0.0, "KPR": 200.0, "KIM": 0.0}))
-    assert standing.shared_bus == {}
-    assert found.near_zero == standing.count
-    assert standing.count - len(standing.resting) == 2
-    assert np.sum(np.abs(values) < 1e-5) == standing.count
+    _, zero_eigenvalues, found, values = seen(units(tmp_path, "ab", b={"KIR": 0.0, "KPR": 200.0, "KIM": 0.0}))
+    assert zero_eigenvalues.shared_bus == {}
+    assert found.near_zero == zero_eigenvalues.count
+    assert zero_eigenvalues.count - len(zero_eigenvalues.resting) == 2
+    assert np.sum(np.abs(values) < 1e-5) == zero_eigenvalues.count
 
 
 def test_an_instability_beside_them_is_not_hidden(tmp_path: Path) -> None:
     """A regulator whose integral acts the wrong way runs away: one eigenvalue more than stand at 0."""
-    _, standing, found, values = seen(units(tmp_path, "abc", c={"KIR": -20.0}))
+    _, zero_eigenvalues, found, values = seen(units(tmp_path, "abc", c={"KIR": -20.0}))
     grows = np.sum((values.real > 1e-4) & (np.abs(values.imag) < 0.2 * np.pi))
     assert grows > 0
-    assert found.near_zero == standing.count + grows
+    assert found.near_zero == zero_eigenvalues.count + grows
     assert found.growing_slowly == grows
     assert any("and 1 grow: unstable" in line for line in found.remarks)

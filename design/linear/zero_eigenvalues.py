@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import sparse
 
-from .matrices import STANDING
+from .matrices import ZERO_EIGENVALUE
 from .resolvent import Loop, Shifted
 from .sparse_plant import SparsePlant
 
@@ -34,7 +34,7 @@ _NOTHING = 1e-9  # of the terms of a sum that vanishes
 
 
 @dataclass(frozen=True)
-class Standing:
+class ZeroEigenvalues:
     """Eigenvalues 0 of a plant.
 
     Attributes
@@ -118,7 +118,7 @@ def _times(count: int) -> str:
     return "once" if count == 1 else f"{count} times"
 
 
-def standing_of(plant: SparsePlant, loop: Loop | None = None) -> Standing:
+def zero_eigenvalues_of(plant: SparsePlant, loop: Loop | None = None) -> ZeroEigenvalues:
     """Return the eigenvalues 0 that a plant has by the way it is built.
 
     loop : the plant with a controller around it, which may bring a common speed back; machine speeds show
@@ -146,7 +146,7 @@ def standing_of(plant: SparsePlant, loop: Loop | None = None) -> Standing:
             names = tuple(plant.machines[k] for k in of[own])
             shared[plant.bus_names[bus]] = names, len(own) - rank
             retained.append(sparse.csr_matrix(U[:, rank:].T) @ rows[own])
-    return Standing(
+    return ZeroEigenvalues(
         rotation=rotation,
         common_speed=common_speed,
         shared_bus=shared,
@@ -161,7 +161,7 @@ def _together(plant: SparsePlant, loop: Loop | None) -> tuple[bool, bool]:
     """Whether all angles together move nothing, and whether nothing brings a common speed back."""
     angles, speeds = np.zeros(plant.nstates), np.zeros(plant.nstates if loop is None else loop.nstates)
     angles[plant.angle] = speeds[plant.speed] = 1.0
-    if not float(np.max(np.abs(plant.times(angles)))) <= STANDING:
+    if not float(np.max(np.abs(plant.times(angles)))) <= ZERO_EIGENVALUE:
         return False, False
     # a push on all speeds: what is left of it after 1/s rises as 1/s only if nothing brings it back
     pushed = (Shifted(plant, s) if loop is None else loop.shifted(s) for s in _PUSHES)

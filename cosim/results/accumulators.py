@@ -34,7 +34,7 @@ class Ages:
 
 
 @dataclass
-class Tally:
+class Accumulators:
     """Ages by channel, and by column what is not finite: value, first time (s), number of points."""
 
     channels: tuple[str, ...]
@@ -57,11 +57,11 @@ class Tally:
                 self.not_finite[name] = value, time_s, count + int(bad.size)
 
     @classmethod
-    def of(cls, trajectory: Trajectory, channels: Iterable[str]) -> Tally:
+    def of(cls, trajectory: Trajectory, channels: Iterable[str]) -> Accumulators:
         """Return what a whole trajectory gives."""
-        tally = cls(tuple(channels))
-        tally.add(trajectory)
-        return tally
+        accumulators = cls(tuple(channels))
+        accumulators.add(trajectory)
+        return accumulators
 
     @property
     def warnings(self) -> list[str]:

@@ -19,7 +19,7 @@ OUT_OF_STEP_DEG = 180.0  #: between two machines: synchronism is lost
 
 
 @dataclass(frozen=True)
-class Excursion:
+class LargestDeviation:
     """Extremes of a run.
 
     angle_deg : largest angle between any two machines that run in one part of the network. voltage_pu :
@@ -40,9 +40,9 @@ class Excursion:
         return self.angle_deg < OUT_OF_STEP_DEG
 
 
-def excursion_of(
+def largest_deviation_of(
     trajectory: Trajectory, case: Case, from_s: float, machines: Sequence[str] | None = None
-) -> Excursion:
+) -> LargestDeviation:
     """Return the extremes of a run whose last event is at `from_s`, of `machines` (default: all).
 
     Raises
@@ -59,7 +59,7 @@ def excursion_of(
     volts = np.array([trajectory[f"plant.{name}"] for name in seen])[:, after]
     lowest = volts.min(axis=1) if volts.shape[1] else np.full(len(seen), np.nan)
     place = int(np.argmin(lowest))
-    return Excursion(
+    return LargestDeviation(
         angle_deg=max(
             float(np.degrees(np.ptp(angles[part], axis=0).max())) for part in parts_of(case, machines)
         ),

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from interarea.cosim.results.accumulators import DRAWN, Curves, Samples, Settling, Squares
 from interarea.cosim.results.metrics import settling_time_s
-from interarea.cosim.results.tally import DRAWN, Curves, Samples, Settling, Squares
 from interarea.cosim.trajectory import TIME, Trajectory
 
 Array = npt.NDArray[np.float64]
