@@ -1,6 +1,7 @@
 r"""A plant at rest as sparse blocks: its devices and the network between them, no dense state matrix.
 
-Device k (a machine with its controls) has states x_k, sees the voltage V of its bus and sends a current,
+Device k (a machine with its controls, an SVC) has states x_k, sees the voltage V of its bus and sends a
+current,
 
 .. math:: \dot x_k = A_k x_k + B_k V + \dots, \qquad I_k = C_k x_k + D_k V, \qquad G V = \sum_k C_k x_k,
 
@@ -34,7 +35,8 @@ Matrix = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]
 IntArray = npt.NDArray[np.int64]
 
-_LOAD = 1  #: kind of a port
+_LOAD, _DEVICE = 1, 3  #: kinds of ports
+_COUPLING = 7  #: column of the port table: 0 where a device at a bus measures only
 _PAD = -1.0  #: pole of a place where a device has no state; nothing reaches it
 
 
@@ -67,7 +69,7 @@ class SparsePlant:
 
     Attributes
     ----------
-    machines : names, in the order of the devices. bus_names : numbers, in the order of the buses.
+    machines : names; their devices come first, then those at buses. bus_names : numbers of the buses.
     states : names (n,); inputs : names.
     place : (K, m) state at each place of a device, n where it has none.
     A : (K, m, m); B : (K, m, 2); C : (K, 2, m), current into the network; D : (K, 2, 2).
@@ -103,13 +105,13 @@ class SparsePlant:
 
     @cached_property
     def angle(self) -> IntArray:
-        """The states that are rotor angles, (K,)."""
+        """The states that are rotor angles, (machines,)."""
         at = {name: k for k, name in enumerate(self.states)}
         return np.array([at[f"{m}.delta"] for m in self.machines], dtype=np.int64)
 
     @cached_property
     def speed(self) -> IntArray:
-        """The states that are speeds, (K,), pu."""
+        """The states that are speeds, (machines,), pu."""
         at = {name: k for k, name in enumerate(self.states)}
         return np.array([at[f"{m}.slip"] for m in self.machines], dtype=np.int64)
 
@@ -170,10 +172,11 @@ def sparse_plant(slopes: Slopes, data: Mapping[str, Any], at_bus: ComplexArray) 
 
     Raises
     ------
-    SparsePlantError : derivatives that are not finite.
+    SparsePlantError : derivatives that are not finite, or a device that regulates another bus than its own.
     """
-    machines = _words(data["machine.names"])
-    n, K = len(slopes.states), len(machines)
+    places = _words(data["machine.names"])
+    bus = np.asarray(data["machine.bus"], dtype=np.int64)
+    n, K = len(slopes.states), len(places)
     of = np.asarray(data["state.machine"], dtype=np.int64)
     local = np.zeros(n, dtype=np.int64)
     for k in range(K):
@@ -182,18 +185,22 @@ def sparse_plant(slopes: Slopes, data: Mapping[str, Any], at_bus: ComplexArray) 
     m = int(local.max()) + 1
     place = np.full((K, m), n, dtype=np.int64)
     place[of, local] = np.arange(n)
-    blocks = _device_blocks(slopes, place, local)
+    ports = np.asarray(data["port.table"], dtype=float)
+    at_buses = _ports_of_devices(ports, places[len(bus) :])
+    blocks = _device_blocks(
+        slopes, place, local, np.concatenate([np.arange(len(bus)), len(bus) + at_buses]), len(ports)
+    )
+    bus = np.concatenate([bus, ports[at_buses, 3].astype(np.int64)])
     buses = _words(data["bus.names"])
-    bus = np.asarray(data["machine.bus"], dtype=np.int64)
     on = np.asarray(data["branch.status"]) > 0
     table = np.asarray(data["branch.table"], dtype=float).reshape(8, -1).T[on].reshape(-1, 4, 2)
     stamps = table[..., 0] + 1j * table[..., 1]
     ends = np.stack([np.asarray(data[f"branch.{e}"], dtype=np.int64) for e in ("from", "to")], axis=1)[on]
-    port = np.asarray(data["port.table"], dtype=float)[:, :2].astype(int)
+    port = ports[:, :2].astype(int)
     loads = np.asarray(data["load.bus"], dtype=np.int64)[port[port[:, 0] == _LOAD, 1]]
     inner = np.concatenate([blocks.D, blocks.ports[port[:, 0] == _LOAD]])
     return SparsePlant(
-        machines=machines,
+        machines=places[: len(data["machine.bus"])],
         bus_names=buses,
         states=slopes.states,
         inputs=slopes.inputs,
@@ -203,7 +210,7 @@ def sparse_plant(slopes: Slopes, data: Mapping[str, Any], at_bus: ComplexArray) 
         C=blocks.C,
         D=blocks.D,
         bus=bus,
-        Bu=_input_matrix(slopes, machines, of, blocks.moved),
+        Bu=_input_matrix(slopes, places, of, blocks.moved),
         G=_network(data, ends, stamps, np.concatenate([bus, loads]), inner),
         ends=ends,
         stamps=stamps,
@@ -224,8 +231,22 @@ class _Blocks:
     moved: Matrix  # (n,) dx/dt for 1 at every input
 
 
-def _device_blocks(slopes: Slopes, place: IntArray, local: IntArray) -> _Blocks:
-    """One derivative for every place of all devices at once: what one does moves no other."""
+def _ports_of_devices(ports: Matrix, names: Sequence[str]) -> IntArray:
+    """Where in the table of ports each device at a bus stands."""
+    devices = ports[:, 0] == _DEVICE
+    for k in ports[devices & (ports[:, _COUPLING] == 0.0), 1]:
+        raise SparsePlantError(
+            f"{names[int(k)]} regulates another bus than its own, which is not taken; leave "
+            "out `regulates`, or use `interarea modes` on a grid of fewer states"
+        )
+    return np.flatnonzero(devices)
+
+
+def _device_blocks(slopes: Slopes, place: IntArray, local: IntArray, source: IntArray, ports: int) -> _Blocks:
+    """One derivative for every place of all devices at once: what one does moves no other.
+
+    source : (K,) the source that is each device's current. ports : how many, the last sources.
+    """
     (K, m), n, sources = place.shape, len(slopes.states), slopes.sources
     none_x, none_u, none_v = np.zeros(n), np.zeros(len(slopes.inputs)), np.zeros(sources, dtype=complex)
     A, B = np.zeros((K, m, m)), np.zeros((K, m, 2))
@@ -237,7 +258,7 @@ def _device_blocks(slopes: Slopes, place: IntArray, local: IntArray) -> _Blocks:
     for j in range(m):
         dx, current = slopes.slopes(np.where(local == j, 1.0, 0.0), none_u, none_v)
         A[:, :, j] = spread(dx)
-        C[:, 0, j], C[:, 1, j] = current[:K].real, current[:K].imag
+        C[:, 0, j], C[:, 1, j] = current[source].real, current[source].imag
     for j, unit in enumerate((1.0, 1.0j)):
         dx, current = slopes.slopes(none_x, none_u, np.full(sources, unit))
         B[:, :, j] = spread(dx)
@@ -248,15 +269,15 @@ def _device_blocks(slopes: Slopes, place: IntArray, local: IntArray) -> _Blocks:
             raise SparsePlantError("derivatives of the plant's devices at rest are not all finite")
     k, i = np.nonzero(place == n)
     A[k, i, i] = _PAD
-    return _Blocks(A, B, C, D[:K], D[K:], dx)
+    return _Blocks(A, B, C, D[source], D[sources - ports :], dx)
 
 
-def _input_matrix(slopes: Slopes, machines: Sequence[str], of: IntArray, dx: Matrix) -> Any:
-    """Columns (n, inputs) from what all inputs at once do: each acts on one machine."""
-    machine = {name: k for k, name in enumerate(machines)}
+def _input_matrix(slopes: Slopes, places: Sequence[str], of: IntArray, dx: Matrix) -> Any:
+    """Columns (n, inputs) from what all inputs at once do: each acts on one device."""
+    at = {name: k for k, name in enumerate(places)}
     Bu = sparse.lil_matrix((len(slopes.states), len(slopes.inputs)))
     for j, name in enumerate(slopes.inputs):
-        rows = np.flatnonzero((of == machine[name.removesuffix("_vs")]) & (dx != 0.0))
+        rows = np.flatnonzero((of == at[name.removesuffix("_vs").removesuffix("_v_mod")]) & (dx != 0.0))
         Bu[rows, j] = dx[rows]
     return Bu.tocsc()
 

@@ -174,7 +174,8 @@ def _integrators(plant: SparsePlant) -> tuple[npt.NDArray[np.intp], Matrix, Matr
     held = plant.place < plant.nstates
     slow = np.flatnonzero(np.abs(plant.device_poles) < _SLOW)
     of, rows, seen = [], [], []
-    for k in np.flatnonzero(np.isin(plant.place, slow).any(axis=1)):
+    machines = plant.place[: len(plant.machines)]
+    for k in np.flatnonzero(np.isin(machines, slow).any(axis=1)):
         own = held[k]
         A, B = plant.A[k][np.ix_(own, own)], plant.B[k][own]
         across = _sizes(np.hstack([A, B]).T)

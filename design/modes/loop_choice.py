@@ -226,8 +226,8 @@ def _branches(plant: SparsePlant, dV: ComplexArray) -> list[Signal]:
 
 def _base(plant: SparsePlant) -> float:
     """Rated speed, rad/s: d angle / dt over the speed."""
-    at = np.argwhere(plant.place == plant.angle[:, None])
-    speed = np.argwhere(plant.place == plant.speed[:, None])
+    place = plant.place[: len(plant.machines)]
+    at, speed = (np.argwhere(place == states[:, None]) for states in (plant.angle, plant.speed))
     return float(plant.A[at[0, 0], at[0, 1], speed[0, 1]])
 
 
@@ -235,7 +235,7 @@ def _bus_areas(plant: SparsePlant, machine_area: npt.NDArray[Any]) -> npt.NDArra
     """Area of each bus: of its nearest machine by branches, 0 where none is connected."""
     b = len(plant.bus_names)
     area = np.zeros(b, dtype=int)
-    area[plant.bus] = machine_area
+    area[plant.bus[: len(plant.machines)]] = machine_area
     one, other = plant.ends.T
     for _ in range(b):
         take = (area[one] == 0) & (area[other] != 0)

@@ -80,12 +80,21 @@ def difference_signals(areas: Mapping[str, int]) -> dict[str, dict[str, float]]:
     return signals
 
 
+def actuators_of(inputs: Sequence[str]) -> list[str]:
+    """Return the inputs of a plant that a controller may drive: exciters' and those of devices at buses.
+
+    >>> actuators_of(["G1_vs", "svc1_v_mod", "torque"])
+    ['G1_vs', 'svc1_v_mod']
+    """
+    return [name for name in inputs if name.endswith(("_vs", "_v_mod"))]
+
+
 def require_actuator(names: Sequence[str]) -> None:
     """Refuse a plant without an input that a controller could drive."""
     if not names:
         raise ModeError(
-            "no machine has an exciter that takes a signal (an input *_vs), so no loop can be closed; "
-            "give machines an exciter that regulates"
+            "no machine has an exciter that takes a signal (an input *_vs) and no bus an SVC or STATCOM "
+            "(*_v_mod), so no loop can be closed; give machines an exciter that regulates"
         )
 
 
@@ -115,7 +124,7 @@ def rank_loops(
     mode : the mode to damp, of this very system.
     signals : signal name -> {plant output: weight}; default the speed differences between `areas`.
     areas : machine name -> area, needed when `signals` is not given.
-    actuators : plant inputs; default all ``*_vs``.
+    actuators : plant inputs; default all ``*_vs`` and ``*_v_mod``.
     own_machine : rank a difference only with actuators of its own machines, so that
         one of its two parts is local (as the wide-area schemes do).
     order : order of the balanced reduction in whose coordinates the geometric index is taken.
@@ -128,7 +137,7 @@ def rank_loops(
     ValueError : unknown signals or actuators.
     """
     signals = _candidate_signals(signals, areas)
-    requested = [n for n in system.input_labels if n.endswith("_vs")] if actuators is None else actuators
+    requested = actuators_of(system.input_labels) if actuators is None else actuators
     require_actuator(requested)
     picked = select(system, requested, {name: dict(weights) for name, weights in signals.items()})
     A, B, C = (np.asarray(M, dtype=float) for M in (picked.A, picked.B, picked.C))

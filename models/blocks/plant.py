@@ -139,7 +139,7 @@ def plant_block(
 ) -> Block:
     """Return the plant of `case` as a block with `event_slots` slots for events, after those of its own.
 
-    Inputs `G1_vs` .. (pu, at the exciter's summing point), then `svc1.v_mod` .. of devices at buses;
+    Inputs `G1_vs` .. (pu, at the exciter's summing point), then `svc1_v_mod` .. of devices at buses;
     outputs per machine `G1_dw` (pu speed deviation),
     `G1_delta` (rad, against the centre of inertia), `G1_pe` (pu on the base of the case), `G1_vt` (pu), then
     `tie_p`; locals: bus voltages, field voltages, mechanical powers; parameters: gains, times and limits

@@ -83,7 +83,7 @@ def input_variables(point: OperatingPoint) -> list[Variable]:
         Variable(
             name,
             "input",
-            words[name] if name.endswith(".v_mod") else "added at the exciter's summing point",
+            words[name] if name.endswith("_v_mod") else "added at the exciter's summing point",
             unit="pu",
             start=0.0,
         )

@@ -184,8 +184,8 @@ class Controls:
 
 
 def input_name(case: Case, device: Device) -> str:
-    """Return the name of the plant's input that a device takes: `G1_vs`, or `svc1.v_mod` at a bus."""
-    return f"{device.prefix}.v_mod" if device.word in AT_BUS else f"{case.machines[device.place].name}_vs"
+    """Return the name of the plant's input that a device takes: `G1_vs`, or `svc1_v_mod` at a bus."""
+    return f"{device.prefix}_v_mod" if device.word in AT_BUS else f"{case.machines[device.place].name}_vs"
 
 
 def controls_at_rest(
@@ -203,7 +203,7 @@ def controls_at_rest(
         raise StartError(unrest)
     devices: list[Device] = []
     inputs = [_reach(case, k) for k in range(len(points))]
-    inputs += [{"vt": frozenset({NETWORK}), "vs": frozenset({f"{s.name}.v_mod"})} for s in case.svcs]
+    inputs += [{"vt": frozenset({NETWORK}), "vs": frozenset({f"{s.name}_v_mod"})} for s in case.svcs]
     for k, word, rest in starts:
         assert isinstance(rest, RestPoint)
         device = _device(row_name(case, k, word), k, word, rest, inputs[k])

@@ -6,11 +6,15 @@ import numpy as np
 import pytest
 from plant_shim import BlockShim
 
+from interarea.design.linear.sparse_plant import SparsePlantError, sparse_plant
+from interarea.fmu_build.write.device_slopes import DeviceSlopes
 from interarea.models.blocks.plant import event_parameters, plant_block
 from interarea.models.case.case import load_case
 from interarea.models.case.events import events_of
 from interarea.models.errors import CaseError
+from interarea.models.files import default_cache
 from interarea.models.grid.equilibrium import operating_point
+from interarea.models.grid.machine_tables import in_plant_order
 from interarea.models.grid.powerflow import solve_powerflow
 
 CONTROLS = {
@@ -56,7 +60,7 @@ def test_held_at_its_limit_it_gives_the_power_of_its_law(control, power):
     case = with_svc(control, V_pu=1.0)
     plant = BlockShim(plant_block(case, more=["bus8.v"]))
     u = plant.u.copy()
-    u[plant.input_names.index("svc1.v_mod")] = 1.0
+    u[plant.input_names.index("svc1_v_mod")] = 1.0
     _, _, y = plant.run(1.0, 0.002, u)
     q, v = (y[-1, plant.output_names.index(name)] for name in ("svc1.q", "bus8.v"))
     assert v > 1.02
@@ -152,3 +156,24 @@ def test_a_trip_of_a_device_that_does_not_exist_is_refused():
     events = events_of([{"kind": "device_trip", "device": "svc2", "start_s": 0.1}], where="test")
     with pytest.raises(CaseError, match=r"device_trip: device 'svc2' does not exist; did you mean svc1"):
         event_parameters(with_svc("svc"), events)
+
+
+@pytest.mark.parametrize("base", ["two-area-thesis", "kundur-manual"])
+def test_the_sparse_blocks_have_its_state_matrix(base):
+    """`interarea loops` reads the plant as blocks: with its matrix and inputs."""
+    case = in_plant_order(with_svc("svc", base, V_pu=1.0))
+    block = plant_block(case)
+    plant, voltages = BlockShim(block), solve_powerflow(case).voltages
+    slopes = DeviceSlopes(block, cache=default_cache())
+    blocks = sparse_plant(slopes, block.data, voltages)
+    A, B, _, _ = plant.jacobians()
+    assert np.max(np.abs(blocks.state_matrix() - A)) < 1e-9 * np.max(np.abs(A))
+    assert blocks.inputs[-1] == "svc1_v_mod"
+    assert np.max(np.abs(blocks.Bu.toarray() - B)) < 1e-9 * np.max(np.abs(B))
+
+
+def test_the_sparse_blocks_refuse_what_sees_another_bus():
+    case = in_plant_order(with_svc("svc", regulates=7))
+    block = plant_block(case)
+    with pytest.raises(SparsePlantError, match=r"svc1 regulates another bus than its own.*leave out `reg"):
+        sparse_plant(DeviceSlopes(block, cache=default_cache()), block.data, solve_powerflow(case).voltages)
