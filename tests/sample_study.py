@@ -145,6 +145,17 @@ def sample_study() -> dict[str, Any]:
             "lost_at_s": 1.0,
             "watch_s": 9.0,
             "cycles": {"from": 1.0, "to": 30.0, "tolerance": 0.15},
+            "stabilizers": [
+                {
+                    "name": "local_stabilizer",
+                    "machine": "G4",
+                    "K": 40.0,
+                    "T1": 0.2,
+                    "T2": 0.03,
+                    "stages": 1,
+                    "limit_pu": 0.15,
+                }
+            ],
             "rows": [
                 {
                     "point": point,
@@ -153,13 +164,18 @@ def sample_study() -> dict[str, Any]:
                     "signals": signals,
                     "stable": True,
                     "least_damping": 0.2,
-                    "synchronism": signals == "nothing lost",
-                    "largest_angle_rad": 1.3 if signals == "nothing lost" else None,
-                    "critical_cycles": 12.3 if signals == "nothing lost" else 0.0,
+                    "verdict": "settled" if signals != "remote lost" else "synchronism lost",
+                    "synchronism": signals != "remote lost",
+                    "largest_angle_rad": 1.3 if signals != "remote lost" else None,
+                    "critical_cycles": 12.3 if signals != "remote lost" else 0.0,
                 }
                 for point in ("base", "circuit out", "tie +100 MW", "tie -200 MW", "tie reversed")
-                for name in ("none", "wdc", "cc", "ftc")
-                for signals in (("nothing lost",) if name == "none" else ("nothing lost", "remote lost"))
+                for name in ("none", "wdc", "cc", "ftc", "robust", "active", "local_stabilizer")
+                for signals in (
+                    ("nothing lost",)
+                    if name in ("none", "local_stabilizer")
+                    else ("nothing lost", "remote lost", "local lost")
+                )
             ],
         },
         "pade": {

@@ -7,7 +7,6 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from interarea.design.controllers.bundled import shipped_banks
 from interarea.design.synthesis.study_designs import CcSpec, FtcSpec, WdcSpec
 from interarea.models.case.events import Event
 from interarea.models.table import Table
@@ -130,14 +129,27 @@ class SurvivalPointTable(Table):
     out: tuple[str, ...] = ()  #: branches out of service
 
 
+class StabilizerTable(Table):
+    """A stabilizer tried beside them: K s Tw/(1 + s Tw) ((1 + s T1)/(1 + s T2))^stages, Tw = 10 s."""
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")]  #: in the table of the report
+    machine: Word  #: whose speed it sees and whose exciter it acts on
+    K: float  #: pu of voltage by pu of speed
+    T1: Annotated[float, Field(ge=0.0)]  #: of the numerator, s
+    T2: Positive  #: of the denominator, s
+    stages: Annotated[int, Field(ge=0)]  #: how many lead-lags
+    limit_pu: Positive  #: of its output
+
+
 class SurvivalTable(Table):
     """What the controllers do not survive: a fault at every operating point, its clearing time bisected."""
 
     disturbance: Word  #: a name under `disturbance`, with a bus fault in it
-    lost_at_s: Seconds  #: when the remote signal is lost, in the runs that lose it
-    watch_s: Positive  #: how long synchronism is watched after the fault
+    lost_at_s: Seconds  #: when a signal is lost, in the runs that lose one
+    watch_s: Positive  #: how long a run is watched after the fault; longer where its linear loop is slow
     cycles: CyclesTable  #: the clearing times that are tried
     controllers: Annotated[tuple[Word, ...], Field(min_length=1)]  #: wdc, cc, ftc or any bundled one
+    stabilizer: tuple[StabilizerTable, ...] = ()  #: plain stabilizers tried beside them, a table each
     ceiling: Annotated[tuple[CeilingTable, ...], Field(min_length=1)]  #: changes to the case, a table each
     point: Annotated[tuple[SurvivalPointTable, ...], Field(min_length=1)]  #: operating points, a table each
 
@@ -340,8 +352,10 @@ class StudyTable(Table):
         for k, row in enumerate(self.scenario):
             yield from _strange(f"scenario.{k}.controller", [row.controller], NAMED_CONTROLLERS)
         if self.survival is not None:
-            known = [name for name in NAMED_CONTROLLERS if name not in ("none", *shipped_banks())]
+            known = [name for name in NAMED_CONTROLLERS if name != "none"]
             yield from _strange("survival.controllers", self.survival.controllers, known)
+            names = [*self.survival.controllers, *(row.name for row in self.survival.stabilizer)]
+            yield from (f"survival: {n!r} is there twice, allowed: once" for n in _twice(names))
 
     def _of_figure(self, k: int, row: Figure) -> Iterator[str]:
         """Yield what a figure shows that is not there."""

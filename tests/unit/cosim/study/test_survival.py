@@ -9,13 +9,15 @@ import numpy as np
 import pytest
 
 from interarea.cosim.designs.fault_runs import longest_kept
+from interarea.cosim.run.controllers import design_controller
 from interarea.cosim.run.run import run_scenario
 from interarea.cosim.study.spec import load_study
-from interarea.cosim.study.survival import NONE, Faults, Setting, case_at
+from interarea.cosim.study.survival import NONE, Faults, Setting, case_at, local_stabilizer, settings_of
+from interarea.design.controllers.bundled import shipped_bank
 from interarea.design.controllers.controller import Controller
 from interarea.models.case.case import Case
 
-SETTINGS = [Setting("a", False), Setting("a", True), Setting("b", False), Setting("c", False)]
+SETTINGS = [Setting("a"), Setting("a", "remote"), Setting("b"), Setting("c")]
 
 
 def test_the_search_ends_within_its_tolerance_below_the_limit() -> None:
@@ -53,7 +55,7 @@ def test_side_by_side_every_fault_is_the_run_made_alone(
     """The angles of lanes that are reset and run again are those of `run_scenario`, to the bit."""
     spec = dict(load_study("thesis"))
     spec["survival"] = spec["survival"] | {"watch_s": 2.0}
-    settings = [Setting(NONE, False), Setting("wdc", False), Setting("wdc", True)]
+    settings = [Setting(NONE), Setting("wdc"), Setting("wdc", "remote")]
     clearing = dict(zip(settings, (0.1, 0.1333333, 0.2), strict=True))
     with Faults(spec, {"wdc": hand_controller}, two_area, cache) as faults:
         first = faults.largest_angles(dict.fromkeys(settings, 0.3))
@@ -73,5 +75,46 @@ def test_a_branch_that_is_out_is_not_tripped(two_area: Case, cache: Path) -> Non
     spec = load_study("thesis")
     case = case_at(two_area, {"out": ["8-9 a"]}, {})
     with Faults(spec, {}, case, cache) as faults:
-        events = faults.document(Setting(NONE, False), 0.1)["event"]
+        events = faults.document(Setting(NONE), 0.1)["event"]
     assert [e["kind"] for e in events] == ["bus_fault"]
+
+
+def test_each_signal_is_lost_in_turn_but_the_only_one(two_area: Case) -> None:
+    """A controller whose only signal is lost is no control: that row is there already."""
+    spec = load_study("thesis")
+    (row,) = spec["survival"]["stabilizer"]
+    alone = local_stabilizer(row, two_area)
+    settings = settings_of(spec, {"active": shipped_bank("active"), row["name"]: alone})
+    assert [(s.controller, s.signals) for s in settings] == [
+        ("none", "nothing lost"),
+        ("active", "nothing lost"),
+        ("active", "remote lost"),
+        ("active", "local lost"),
+        ("local_stabilizer", "nothing lost"),
+    ]
+
+
+@pytest.mark.slow
+def test_a_local_stabilizer_loses_what_the_bank_keeps(two_area: Case, cache: Path) -> None:
+    """Tie +100 MW, as good a root as any (.245): eigenvalues would call it the equal of the bank."""
+    spec = load_study("thesis")
+    (row,) = spec["survival"]["stabilizer"]
+    controllers = {"active": shipped_bank("active"), row["name"]: local_stabilizer(row, two_area)}
+    case = case_at(two_area, {"tie_flow_mw": 100.0}, {})
+    with Faults(spec, controllers, case, cache) as faults:
+        found = faults.outcomes(settings_of(spec, controllers))
+    assert not found[Setting("local_stabilizer")].synchronous
+    for setting, run in found.items():
+        assert run.stable == (setting.controller != "local_stabilizer"), setting
+
+
+@pytest.mark.slow
+def test_what_decays_in_a_minute_is_not_called_growing_after_ten_seconds(two_area: Case, cache: Path) -> None:
+    """WDC with its local signal lost, tie reversed, ceilings: the control still grows from 5 to 10 s."""
+    spec = load_study("thesis")
+    case = case_at(two_area, {"tie_flow_mw": -500.0}, spec["survival"]["ceiling"][1])
+    controllers = {"wdc": design_controller(two_area, "wdc", cache)}
+    setting = Setting("wdc", "local")
+    with Faults(spec, controllers, case, cache) as faults:
+        run = faults.outcomes([setting])[setting]
+    assert run.verdict is not None and run.verdict.name == "settled" and run.verdict.window_s[1] == 60.0
