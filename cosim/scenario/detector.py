@@ -34,6 +34,8 @@ class DetectorTable(Table):
     apart_pu: Annotated[float, Field(gt=0.0, examples=[0.001])] = 0.001
     #: share of what the others swing by which it may be further apart
     apart_share: Annotated[float, Field(ge=0.0)] = 0.75
+    #: largest median of the second differences of a signal, beside twice that of the others
+    rough_pu: Annotated[float, Field(gt=0.0, examples=[0.0001])] = 0.0001
     average_s: Positive = 2.0  #: time over which means are taken: a period of the slowest swing, or more
     #: how long a signal passes every test before it is trusted again; twice as long each further time
     return_s: Annotated[float, Field(ge=0.0, examples=[5.0])] = 60.0
@@ -83,6 +85,7 @@ class DetectorTable(Table):
                 f"range[{i}]": self.range_pu,
                 f"jump[{i}]": self.jump_pu_per_s,
                 f"apart[{i}]": self.apart_pu,
+                f"rough[{i}]": max(self.rough_pu, 4.0 * quantum),  # rounding bends too
             }
         return start
 

@@ -12,6 +12,7 @@ import argparse
 import itertools
 import sys
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,7 @@ from interarea.design.controllers.detector_record import (
     DetectorDesignError,
     basis_of,
     scores,
+    shares,
 )
 from interarea.models.blocks.detector import Patterns
 from interarea.models.case.case import Case, load_case
@@ -78,9 +80,10 @@ def design_detector(
         progress((k + 1) / (len(made) + len(judged)))
     floor = 3.0 * noise_pu * (SAMPLES / FRAMES) ** 0.5
     basis = basis_of(seen, floor)
-    patterns = Patterns(basis, FRAMES, 1.0, floor)
+    alone = MARGIN * max(float(shares(c, floor).max()) for c in noisy)
+    patterns = Patterns(basis, FRAMES, 1.0, floor, alone)
     largest = max(float(scores(c, patterns).max()) for c in noisy)
-    patterns = Patterns(basis, FRAMES, MARGIN * largest, floor)
+    patterns = replace(patterns, threshold=MARGIN * largest)
     numbers = (largest, len(seen), len(noisy))
     return DetectorDesign(grid.name, controller, tuple(signals), interval_s, noise_pu, patterns, *numbers)
 
@@ -148,7 +151,8 @@ def main(words: Sequence[str] | None = None) -> int:
         return 2
     print(
         f"{found.save(asked.out)}: made of {found.made_of} runs; largest score of right signals in "
-        f"{found.judged_by} others {found.largest:.2f}, threshold {found.patterns.threshold:.2f}"
+        f"{found.judged_by} others {found.largest:.2f}, threshold {found.patterns.threshold:.2f}; a "
+        f"signal may span {found.patterns.alone:.2f} times as much as the others"
     )
     return 0
 

@@ -21,7 +21,8 @@ from interarea.models.files import write_whole
 
 Array = npt.NDArray[np.float64]
 FRAMES, SAMPLES, SIZE = 4, 12, 12  #: stamps a sample, samples a window, directions of a swing
-_SCHEMA = 1
+_SCHEMA = 2
+_SPAN = 100  # stamps that a span is taken over: `average_s` of a scenario by default
 
 
 class DetectorDesignError(UserError):
@@ -58,6 +59,7 @@ class DetectorDesign:
             "frames": p.frames,
             "threshold": p.threshold,
             "floor": p.floor,
+            "alone": p.alone,
             "largest": self.largest,
             "runs": {"made_of": self.made_of, "judged_by": self.judged_by},
             "basis": p.basis.tolist(),
@@ -78,7 +80,7 @@ def load_detector(path: str | Path) -> DetectorDesign:
         basis = np.array(table["basis"], dtype=np.float64)
         if table["schema"] != _SCHEMA or basis.ndim != 3 or len(basis) != len(of["signals"]):
             raise ValueError("another schema, or a basis of other signals")
-        numbers = (int(table["frames"]), float(table["threshold"]), float(table["floor"]))
+        numbers = (int(table["frames"]), *(float(table[key]) for key in ("threshold", "floor", "alone")))
         return DetectorDesign(
             *(str(of["case"]), str(of["controller"]), tuple(map(str, of["signals"]))),
             *(float(table["interval_s"]), float(table["noise_pu"]), Patterns(basis, *numbers)),
@@ -118,6 +120,18 @@ def scores(curves: Array, patterns: Patterns) -> Array:
     left = [_left(np.delete(x, i, axis=1), others[i]) for i in range(n)]
     least = np.min(left, axis=0)
     return np.asarray(np.sqrt(np.maximum(_left(x, V) ** 2 - least**2, 0.0)) / (patterns.floor + 3.0 * least))
+
+
+def shares(curves: Array, floor: float) -> Array:
+    """Return by how many times each signal spans more than the others, of curves (signals, stamps).
+
+    The least over as many stamps as a span is taken over: for so long it lasts before it counts.
+    """
+    parts = np.lib.stride_tricks.sliding_window_view(curves, _SPAN, axis=1)
+    spans = np.ptp(parts, axis=2)
+    others = np.array([np.delete(spans, i, axis=0).max(axis=0) for i in range(len(spans))])
+    found = spans / (3.0 * floor + others)
+    return np.asarray(np.lib.stride_tricks.sliding_window_view(found, _SPAN, axis=1).min(axis=2))
 
 
 def _left(x: Array, V: Array) -> Array:

@@ -15,7 +15,7 @@ from .variables import Block, Variable, VariableTable
 
 _FOLDER = Path(__file__).resolve().parents[1] / "c"
 #: what the integer output NAME_reason says, by its value
-REASONS = ("trusted", "lost", "range", "jump", "repeat", "apart", "pattern")
+REASONS = ("trusted", "lost", "range", "jump", "repeat", "apart", "pattern", "rough", "alone")
 WEAKEST = 0.05  #: singular value of a direction that the other signals show
 
 
@@ -25,17 +25,19 @@ class Patterns:
 
     basis : (signals, samples, size), orthonormal as a matrix of signals * samples rows.
     frames : stamps that each sample is a mean of. threshold : allowed score. floor : of what is left, pu.
+    alone : how many times the others' span a signal may span.
     """
 
     basis: npt.NDArray[np.float64]
     frames: int
     threshold: float
     floor: float
+    alone: float
 
     @property
-    def numbers(self) -> tuple[int, float, float]:
+    def numbers(self) -> tuple[int, float, float, float]:
         """All of it but the basis."""
-        return self.frames, self.threshold, self.floor
+        return self.frames, self.threshold, self.floor, self.alone
 
     def of(self, order: Sequence[int]) -> Patterns:
         """Return the patterns of the same signals in another order."""
@@ -72,7 +74,7 @@ def detector_block(
     not isolated. Integer outputs: ``NAME_reason`` (`REASONS`) and ``isolations``, how many there were.
     patterns : how right signals move together; None: their patterns are not tested.
     FMI parameters: ``interval``, ``wait``, ``average``, ``return_time`` (s), ``moving`` (pu), ``share``,
-    ``repeats``; of each signal ``range[i]``, ``jump[i]`` (a second), ``apart[i]`` in its unit.
+    ``repeats``; of each signal ``range[i]``, ``jump[i]`` (a second), ``apart[i]``, ``rough[i]`` in its unit.
 
     Raises
     ------
@@ -129,6 +131,7 @@ def _parameters(signals: Sequence[str], patterns: Patterns | None) -> Iterator[V
         ("share", "Share of the others' span by which a mean may be further apart", "1", 0.75),
         ("pattern", "Largest score against the patterns", "1", patterns.threshold if patterns else 1.0),
         ("floor", "What is left of a window anyhow", "pu", patterns.floor if patterns else 1.0),
+        ("alone", "Largest share of the others' span", "1", patterns.alone if patterns else 1e9),
     ):
         yield Variable(key, "parameter", text, unit=unit, start=start, min=0.0)
     for i, s in enumerate(signals, start=1):
@@ -136,6 +139,7 @@ def _parameters(signals: Sequence[str], patterns: Patterns | None) -> Iterator[V
             ("range", f"Largest magnitude of {s}", 0.05),
             ("jump", f"Largest change of {s} in a second", 0.24),
             ("apart", f"Largest distance of the mean of {s} from the others", 1e-3),
+            ("rough", f"Largest median of the second differences of {s}", 1e-4),
         ):
             unit = "pu/s" if key == "jump" else "pu"
             yield Variable(f"{key}[{i}]", "parameter", text, unit=unit, start=start, min=0.0)
@@ -145,7 +149,7 @@ def _parameters(signals: Sequence[str], patterns: Patterns | None) -> Iterator[V
 
 _BEHAVIOUR = (
     "<p>Each frame of a signal is tested for its range, its change and repetition; the means of all signals "
-    "over <code>average</code> are compared at the same stamps. A signal that fails is isolated until it has "
-    "passed every test for <code>return_time</code>, twice as long each further time. Outputs follow from "
-    "the inputs at the beginning of a step.</p>"
+    "over <code>average</code>, and how rough they are, are compared at the same stamps. A signal that fails "
+    "is isolated until it has passed every test for <code>return_time</code>, twice as long each further "
+    "time. Outputs follow from the inputs at the beginning of a step.</p>"
 )

@@ -39,11 +39,11 @@ static const char *wrong(const Block *b)
         return "average must lie in 1 to 256 intervals";
     if (!(p[P_WAIT] >= 0.0 && p[P_RETURN] >= 0.0 && p[P_MOVING] >= 0.0 && p[P_SHARE] >= 0.0))
         return "wait, return_time, moving and share must not be negative";
-    if (!(p[P_PATTERN] > 0.0 && p[P_FLOOR] > 0.0)) return "pattern and floor must be positive";
+    if (!(p[P_PATTERN] > 0.0 && p[P_FLOOR] > 0.0 && p[P_ALONE] > 0.0)) return "pattern, floor and alone must be positive";
     if (!(b->ip[IP_REPEATS] >= 1)) return "repeats must be at least 1";
     for (size_t i = 0; i < count_of(b); ++i)
         for (int k = 0; k < PER_SIGNAL; ++k)
-            if (!(limits_of(b, i)[k] > 0.0)) return "range, jump and apart of a signal must be positive";
+            if (!(limits_of(b, i)[k] > 0.0)) return "range, jump, apart and rough of a signal must be positive";
     return NULL;
 }
 
@@ -187,6 +187,79 @@ static double apart(const Block *b, size_t i)
            / (limits_of(b, i)[S_APART] + b->p[P_SHARE] * span);
 }
 
+/* The largest number `what` of the memories of the other trusted signals; 0: there is none. */
+static double most_of_others(const Block *b, size_t i, int what)
+{
+    double most = 0.0;
+
+    for (size_t j = 0; j < count_of(b); ++j)
+        if (j != i && trusted(b, j) && memory_of(b, j)[what] > most) most = memory_of(b, j)[what];
+    return most;
+}
+
+/* By how much a signal bends at the stamp `back` before the newest; NAN where a value is missing. */
+static double bend(const double *m, size_t newest, size_t back)
+{
+    const double *u = m + DM_ALIGNED;
+    const size_t c = newest - back;
+
+    return fabs(u[c % DETECTOR_STAMPS] - 2.0 * u[(c - 1) % DETECTOR_STAMPS] + u[(c - 2) % DETECTOR_STAMPS]);
+}
+
+/* Of the last bends the number that is known, the mean of these, and how many are larger than a limit. */
+static size_t bends(const double *m, size_t newest, double limit, double *mean, size_t *larger)
+{
+    size_t known = 0;
+    double sum = 0.0;
+
+    *larger = 0;
+    for (size_t back = 0; back < DETECTOR_ROUGH; ++back) {
+        const double value = bend(m, newest, back);
+        if (isnan(value)) continue;
+        sum += value;
+        *larger += value > limit;
+        ++known;
+    }
+    *mean = known > 0 ? sum / (double)known : 0.0;
+    return known;
+}
+
+/* Compares how rough the signals are. */
+static void compare_bends(Block *b, double t)
+{
+    const size_t newest = (size_t)b->memory[M_STAMPS] - 1;
+    size_t known, larger;
+    double mean;
+
+    if (newest + 1 < DETECTOR_ROUGH + 2) return;
+    for (size_t i = 0; i < count_of(b); ++i) {
+        double *m = memory_of(b, i);
+        (void)bends(m, newest, 0.0, m + DM_BEND, &larger);
+    }
+    for (size_t i = 0; i < count_of(b); ++i) {
+        const double limit = limits_of(b, i)[S_ROUGH] + 2.0 * most_of_others(b, i, DM_BEND);
+        if (!b->iu[i] || 2.0 * memory_of(b, i)[DM_BEND] <= limit) continue; /* so is the median */
+        known = bends(memory_of(b, i), newest, limit, &mean, &larger);
+        if (4 * known >= 3 * DETECTOR_ROUGH && 2 * larger > known) fail(b, i, t, REASON_ROUGH);
+    }
+}
+
+/* Compares the spans over the last `count` stamps, which they have done for as many. */
+static void compare_spans(Block *b, double t, size_t count)
+{
+    const double stamps = b->memory[M_STAMPS];
+    size_t others = 0;
+
+    for (size_t i = 0; i < count_of(b); ++i) others += trusted(b, i) && !isnan(memory_of(b, i)[DM_MEAN]);
+    for (size_t i = 0; i < count_of(b); ++i) {
+        double *m = memory_of(b, i);
+        const double most = b->p[P_ALONE] * (3.0 * b->p[P_FLOOR] + most_of_others(b, i, DM_SPAN));
+        if (others < 3 || !b->iu[i] || isnan(m[DM_MEAN]) || !(m[DM_SPAN] > most)) m[DM_ALONE] = 0.0;
+        else if (m[DM_ALONE] == 0.0) m[DM_ALONE] = stamps;
+        else if (stamps - m[DM_ALONE] + 1.0 >= (double)count) fail(b, i, t, REASON_ALONE);
+    }
+}
+
 /* Compares the means over the last stamps. */
 static void compare_means(Block *b, double t)
 {
@@ -207,6 +280,7 @@ static void compare_means(Block *b, double t)
         }
     }
     if (most > 1.0) fail(b, furthest, t, REASON_APART);
+    compare_spans(b, t, count);
 }
 
 /* The mean over `count` stamps, the newest of them `back` before the newest. */
@@ -273,7 +347,10 @@ static void compare(Block *b, double t)
         if (patterns.frames > 0 && fmod(m[M_STAMP] + 1.0, (double)patterns.frames) == 0.0)
             compare_patterns(b, &patterns, t);
     }
-    if (m[M_STAMPS] > 0.0) compare_means(b, t);
+    if (m[M_STAMPS] > 0.0) {
+        compare_means(b, t);
+        compare_bends(b, t);
+    }
 }
 
 BlockStatus block_step(Block *b, double t, double h, const double *u_poly, double *dy, BlockMessage *message)

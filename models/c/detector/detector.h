@@ -19,6 +19,13 @@
  * averaged over the period of its slowest swing. The first half wave of a swing has a mean too, hence the span.
  * The test needs two others, and only the signal that is furthest beyond its limit is named at a stamp.
  *
+ *     rough   the median of |u_i(c) - 2 u_i(c - interval) + u_i(c - 2 interval)| over the last ROUGH stamps
+ *             > rough[i] + 2 max(mean of the same of u_j),   j another trusted signal
+ *     alone   span(u_i) > alone (3 floor + max(span(u_j))), at every stamp of the last `average` seconds
+ *
+ * A swing bends little from frame to frame and a disturbance bends few frames: noise bends all of them. What moves
+ * one machine alone, and by how much, depends on the grid: `alone` comes with the patterns.
+ *
  * With patterns in the record (pattern.h) a third test of all signals at the same stamps:
  *
  *     pattern sqrt(r^2 - r_i^2) / (floor + 3 r_i) > pattern, r_i the least; while one signal is isolated it alone is
@@ -34,19 +41,22 @@
  * Outputs of a step follow from the inputs where it begins.                                                 */
 #include "../block/block.h"
 
-enum { DETECTOR_SIGNALS = 32, DETECTOR_FRAMES = 128, DETECTOR_STAMPS = 256, DETECTOR_GAP = 5 };
+enum { DETECTOR_SIGNALS = 32, DETECTOR_FRAMES = 128, DETECTOR_STAMPS = 256, DETECTOR_GAP = 5, DETECTOR_ROUGH = 50 };
 /* Real inputs: the values, then the ages. */
 /* Real parameters: the common ones, then PER_SIGNAL of each signal. Integer parameter: IP_REPEATS. */
-enum { P_INTERVAL, P_WAIT, P_AVERAGE, P_RETURN, P_MOVING, P_SHARE, P_PATTERN, P_FLOOR, P_SIGNAL };
-enum { S_RANGE, S_JUMP, S_APART, PER_SIGNAL };
+enum { P_INTERVAL, P_WAIT, P_AVERAGE, P_RETURN, P_MOVING, P_SHARE, P_PATTERN, P_FLOOR, P_ALONE, P_SIGNAL };
+enum { S_RANGE, S_JUMP, S_APART, S_ROUGH, PER_SIGNAL };
 enum { IP_REPEATS, IP_COUNT };
 /* Integer outputs: usable of each, trusted of each, reason of each, then the number of isolations so far. */
-enum { REASON_NONE, REASON_LOST, REASON_RANGE, REASON_JUMP, REASON_REPEAT, REASON_APART, REASON_PATTERN };
+enum {
+    REASON_NONE, REASON_LOST, REASON_RANGE, REASON_JUMP, REASON_REPEAT, REASON_APART, REASON_PATTERN, REASON_ROUGH,
+    REASON_ALONE
+};
 
 /* Discrete state: a head, then of each signal DM_COUNT numbers. */
 enum { M_STAMP, M_STAMPS, M_ALARMS, M_SIGNALS };
 enum {
-    DM_ISOLATED, DM_REASON, DM_FAILED_AT, DM_FAILURES, DM_REPEATS, DM_MOVES, DM_FRAMES, DM_MEAN, DM_SPAN,
+    DM_ISOLATED, DM_REASON, DM_FAILED_AT, DM_FAILURES, DM_REPEATS, DM_MOVES, DM_FRAMES, DM_MEAN, DM_SPAN, DM_BEND, DM_ALONE,
     DM_FRAME, /* stamp and value of each of the last frames */
     DM_ALIGNED = DM_FRAME + 2 * DETECTOR_FRAMES,
     DM_COUNT = DM_ALIGNED + DETECTOR_STAMPS

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 from fmpy.fmi1 import FMICallException
 from fmu_runner import Runner
@@ -86,6 +87,35 @@ def test_each_test_names_the_signal_at_the_stated_frame(
     assert found["b"][0][0] == pytest.approx(at_s + late_s, abs=FRAME_S + 1e-9)
 
 
+def rough(random: np.random.Generator, rms: float, more_s: float = 1e9) -> Sent:
+    """Noise, ten times as large from `more_s` on."""
+    return lambda s, v: v + rms * (10.0 if s >= more_s - 1e-9 else 1.0) * random.standard_normal()
+
+
+def test_noise_is_named_by_the_median_of_what_it_bends(detector: Path) -> None:
+    """All have noise of 1 mHz; that of one is ten times as large from 3 s on."""
+    random = np.random.default_rng(2)
+    wrong = {s: rough(random, 1e-3 / 60.0) for s in SIGNALS}
+    assert follow(detector, wrong) == {s: [] for s in SIGNALS}
+    found = follow(detector, {**wrong, "c": rough(random, 1e-3 / 60.0, 3.0)}, stop_s=6.0)
+    assert [why for _, why in found["c"]] == ["rough"]
+    # half of 50 stamps, those whose bend is below the limit on top
+    assert 3.0 + 25 * FRAME_S < found["c"][0][0] < 3.0 + 50 * FRAME_S
+    assert all(found[s] == [] for s in "abd")
+
+
+def test_noise_of_all_signals_is_no_wrong_one(detector: Path) -> None:
+    random = np.random.default_rng(2)
+    found = follow(detector, {s: rough(random, 1e-2 / 60.0) for s in SIGNALS})
+    assert found == {s: [] for s in SIGNALS}
+
+
+def test_a_few_kinks_are_not_rough(detector: Path) -> None:
+    """A triangle that bends by eight times the limit at five of fifty stamps."""
+    sent: Sent = lambda s, v: v + 8e-3 * (abs(s / 0.4 % 1.0 - 0.5) - 0.25) * (s > 1.0)  # noqa: E731
+    assert follow(detector, {"b": sent}) == {s: [] for s in SIGNALS}
+
+
 def test_a_signal_at_rest_repeats_without_harm(detector: Path) -> None:
     """Before 1 s nothing moves; a real signal repeats then as a stuck one does."""
     assert follow(detector, {"b": lambda s, v: 0.0}, stop_s=1.0)["b"] == []
@@ -124,7 +154,7 @@ def test_two_signals_never_accuse_each_other(tmp_path: Path) -> None:
     ("keys", "says"),
     [
         ({"average": 9.0}, "average must lie in 1 to 256 intervals"),
-        ({"apart[2]": 0.0}, "range, jump and apart of a signal must be positive"),
+        ({"apart[2]": 0.0}, "range, jump, apart and rough of a signal must be positive"),
     ],
 )
 def test_parameters_that_cannot_be(detector: Path, keys: dict[str, float], says: str) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,12 +20,13 @@ from interarea.design.controllers.detector_record import (
     basis_of,
     load_detector,
     scores,
+    shares,
 )
 from interarea.fmu_build.write.package import build_fmu
 from interarea.models.blocks.detector import REASONS, Patterns, detector_block
 
 SIGNALS = ("a", "b", "c", "d")
-FRAME_S, STAMPS, WRONG = 0.02, 300, 140
+FRAME_S, STAMPS, WRONG = 0.02, 400, 140
 FLOOR, THRESHOLD = 1e-6, 2.0
 SHAPES = np.array([[1.0, 0.9, -0.8, -0.7], [1.0, -0.8, 0.1, -0.1]])  # of two modes
 MODES_HZ = (0.5, 1.1)
@@ -44,7 +46,7 @@ def swing(phases: tuple[float, float], sizes: tuple[float, float] = (1e-3, 3e-4)
 def patterns() -> Patterns:
     random = np.random.default_rng(3)
     curves = [swing(tuple(random.uniform(0, 6.3, 2)), tuple(random.uniform(0, 1e-3, 2))) for _ in range(30)]
-    return Patterns(basis_of(curves, FLOOR, size=6), FRAMES, THRESHOLD, FLOOR)
+    return Patterns(basis_of(curves, FLOOR, size=6), FRAMES, THRESHOLD, FLOOR, 1e9)
 
 
 @pytest.fixture(scope="module")
@@ -109,6 +111,20 @@ def test_patterns_of_another_order_are_the_same_law(patterns: Patterns) -> None:
     )  # of a difference of squares
 
 
+def test_what_moves_alone_is_named_where_numpy_says(patterns: Patterns, tmp_path: Path) -> None:
+    """A quiet grid and a sine on one signal: no window of the others says anything."""
+    strict = replace(patterns, threshold=1e6, alone=4.0)
+    path = build_fmu(detector_block(SIGNALS, patterns=strict), tmp_path / "alone.fmu")
+    curves = swing((0.3, 1.0), (2e-5, 0.0))
+    curves[2, WRONG:] += 5e-4 * np.sin(0.08 * np.arange(STAMPS - WRONG))
+    reasons, first = named(path, curves)
+    assert reasons == {s: "alone" if s == "c" else "trusted" for s in SIGNALS}
+    share = shares(curves, FLOOR)
+    assert share.shape == (4, STAMPS - 2 * 99)
+    assert first == np.nonzero((share > 4.0).any(axis=0))[0][0] + 2 * 99
+    assert np.delete(share, 2, axis=0).max() < 4.0
+
+
 def test_a_design_is_written_and_read(patterns: Patterns, tmp_path: Path) -> None:
     made = DetectorDesign("grid", "robust", SIGNALS, FRAME_S, 1e-5, patterns, 1.5, 30, 20)
     again = load_detector(made.save(tmp_path / "d.json"))
@@ -116,7 +132,7 @@ def test_a_design_is_written_and_read(patterns: Patterns, tmp_path: Path) -> Non
     assert (again.signals, again.patterns.numbers, again.largest) == (SIGNALS, patterns.numbers, 1.5)
 
 
-@pytest.mark.parametrize("text", ["", "{}", json.dumps({"schema": 2, "detector": {}, "runs": {}})])
+@pytest.mark.parametrize("text", ["", "{}", json.dumps({"schema": 1, "detector": {}, "runs": {}})])
 def test_other_files_are_refused_in_a_line(text: str, tmp_path: Path) -> None:
     (tmp_path / "d.json").write_text(text)
     with pytest.raises(DetectorDesignError, match="no file of a detector"):
