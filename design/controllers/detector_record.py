@@ -80,7 +80,8 @@ def load_detector(path: str | Path) -> DetectorDesign:
         basis = np.array(table["basis"], dtype=np.float64)
         if table["schema"] != _SCHEMA or basis.ndim != 3 or len(basis) != len(of["signals"]):
             raise ValueError("another schema, or a basis of other signals")
-        numbers = (int(table["frames"]), *(float(table[key]) for key in ("threshold", "floor", "alone")))
+        threshold, floor, alone = (float(table[key]) for key in ("threshold", "floor", "alone"))
+        numbers = (int(table["frames"]), threshold, floor, alone)
         return DetectorDesign(
             *(str(of["case"]), str(of["controller"]), tuple(map(str, of["signals"]))),
             *(float(table["interval_s"]), float(table["noise_pu"]), Patterns(basis, *numbers)),

@@ -39,7 +39,8 @@ static const char *wrong(const Block *b)
         return "average must lie in 1 to 256 intervals";
     if (!(p[P_WAIT] >= 0.0 && p[P_RETURN] >= 0.0 && p[P_MOVING] >= 0.0 && p[P_SHARE] >= 0.0))
         return "wait, return_time, moving and share must not be negative";
-    if (!(p[P_PATTERN] > 0.0 && p[P_FLOOR] > 0.0 && p[P_ALONE] > 0.0)) return "pattern, floor and alone must be positive";
+    for (int k = P_PATTERN; k <= P_ALONE; ++k)
+        if (!(p[k] > 0.0)) return "pattern, floor and alone must be positive";
     if (!(b->ip[IP_REPEATS] >= 1)) return "repeats must be at least 1";
     for (size_t i = 0; i < count_of(b); ++i)
         for (int k = 0; k < PER_SIGNAL; ++k)
