@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from ..errors import BeyondLimit, DeviceError
 from .language.expression import evaluate, parse
 from .language.structure import Model
-from .rest import rest_of
+from .rest import BEYOND, rest_of
 
 ROOM = 0.1  #: a widened limit lies that share beyond the signal at rest
 _LEAST_ROOM = 0.01  #: pu
@@ -20,10 +20,12 @@ def released(
     inputs: Mapping[str, float],
     output: float | None,
     who: str,
+    room: float = BEYOND,
 ) -> dict[str, float]:
     """Return the parameters to change, with their new values, for the device to rest; as `rest_of`.
 
-    A limit is moved to a tenth beyond the signal, by the first parameter in it that moves it.
+    A limit is moved to a tenth beyond the signal, by the first parameter in it that moves it. room : as
+    `rest_of` takes it.
 
     Raises
     ------
@@ -32,7 +34,7 @@ def released(
     values, changed = dict(values), {}
     for _ in range(_MOST):
         try:
-            rest_of(model, values, inputs, output, who)
+            rest_of(model, values, inputs, output, who, room=room)
         except BeyondLimit as error:
             name, value = _moved(model, values, inputs, output, error, who)
             values[name] = changed[name] = value

@@ -26,6 +26,9 @@ class _Stuck(Exception):
     """An expression that cannot be turned round."""
 
 
+BEYOND = -1e-9  #: by rounding a signal may lie that far beyond a limit, relative to it
+
+
 @dataclass(frozen=True)
 class RestPoint:
     """A device at rest."""
@@ -44,12 +47,13 @@ class RestPoint:
 
 def rest_of(
     model: Model, values: Mapping[str, float | str], inputs: Mapping[str, float], output: float | None,
-    who: str, *, check: bool = True,
+    who: str, *, check: bool = True, room: float = BEYOND,
 ) -> RestPoint:  # fmt: skip
     """Return the device at rest with `inputs` and, when it has references, with `output`.
 
     values : parameters, MBASE among them; one that equals its `computed.when` is computed. `who` names the
-    device in errors.  check : refuse a rest beyond a limit.
+    device in errors.  check : refuse a rest beyond a limit; room : nearer
+    to one than this, relative to the signal, is beyond it.
 
     Raises
     ------
@@ -73,7 +77,7 @@ def rest_of(
         parameters[name] = known[name] = float(evaluate(node, at_rest))
     walk = _Walk(model, Instance(model, parameters), known, output, who, steps)
     walk.solve()
-    return _checked(walk, parameters, inputs, who, check=check)
+    return _checked(walk, parameters, inputs, who, check=check, room=room)
 
 
 class _Walk:
@@ -287,7 +291,13 @@ def _over(a: float, b: float) -> float:
 
 
 def _checked(
-    walk: _Walk, parameters: dict[str, float], inputs: Mapping[str, float], who: str, *, check: bool
+    walk: _Walk,
+    parameters: dict[str, float],
+    inputs: Mapping[str, float],
+    who: str,
+    *,
+    check: bool,
+    room: float,
 ) -> RestPoint:
     model, known = walk.model, walk.known
     values = parameters | {name: float(known[name]) for name in model.device.references}
@@ -306,19 +316,19 @@ def _checked(
                 if margin.low <= known[margin.signal] <= margin.high:
                     continue
                 margin = replace(margin, value=known[margin.signal])
-            _check_margin(margin, model, who)
+            _check_margin(margin, model, who, room)
         _check_still(walk, instance, states, inputs, who)
     signals = {name: float(known[name]) for name in model.elements}
     return RestPoint(instance, states, signals, margins, tuple(walk.steps))
 
 
-def _check_margin(margin: Margin, model: Model, who: str) -> None:
-    slack = 1e-9 * max(1.0, abs(margin.value))
+def _check_margin(margin: Margin, model: Model, who: str, room: float) -> None:
+    room *= max(1.0, abs(margin.value))
     for sign, limit, text, word in (
         (1.0, margin.high, margin.high_text, "above"),
         (-1.0, margin.low, margin.low_text, "below"),
     ):
-        if text and not sign * (limit - margin.value) >= -slack:
+        if text and not sign * (limit - margin.value) >= room:
             name = f"{margin.signal} ({margin.text})" if margin.text else margin.signal
             to = "at least" if sign > 0.0 else "at most"
             known = {p.name for p in model.device.parameters}

@@ -14,7 +14,7 @@ from ..devices.c_expression import given_rows
 from ..devices.language.device import AT_BUS, KINDS, OF_MACHINE
 from ..devices.language.expression import Node
 from ..devices.language.structure import Model
-from ..devices.rest import RestPoint, rest_of
+from ..devices.rest import BEYOND, RestPoint, rest_of
 from ..errors import DeviceError
 from .coupling import BusPoint, Coupling, coupling_of, svc_model
 from .machine_tables import NETWORK, MachinePoint, State
@@ -227,9 +227,12 @@ def row_name(case: Case, place: int, word: str) -> str:
 
 
 def rests_of(
-    case: Case, points: tuple[MachinePoint, ...], buses: tuple[BusPoint, ...] = ()
+    case: Case, points: tuple[MachinePoint, ...], buses: tuple[BusPoint, ...] = (), *, room: float = BEYOND
 ) -> tuple[npt.NDArray[np.float64], list[tuple[int, str, RestPoint | Unrest]]]:
-    """Return what the devices at every place see, and each device (place, kind) at rest or why it is not."""
+    """Return what the devices at every place see, and each device (place, kind) at rest or why it is not.
+
+    room : as `rest_of` takes it.
+    """
     seen, own = np.zeros((len(SEEN), len(points) + len(buses))), case.own_devices
     rests: list[tuple[int, str, RestPoint | Unrest]] = []
     for k, point in enumerate(points):
@@ -241,7 +244,7 @@ def rests_of(
             model = None if control is None else control_model(word, control, own)
             if control is None or model is None:
                 continue
-            rest = _rest(case, k, model, control, row)
+            rest = _rest(case, k, model, control, row, room)
             rests.append((k, word, rest))
             if isinstance(rest, RestPoint):
                 seen[SEEN.index(KINDS[word].output), k] = row[KINDS[word].output] = rest.output
@@ -250,27 +253,29 @@ def rests_of(
         output = bus.output(model.device.kind, svc.base_mva / case.base_mva)
         who, given = f"{case.name}: svcs.{svc.name}.control", {"vt": bus.seen, "vs": 0.0}
         numbers = control_numbers(model, svc.control, svc.base_mva)
-        rest = _rest_of(model, numbers, given, output, who, svc.name, "control")
+        rest = _rest_of(model, numbers, given, output, who, svc.name, "control", room)
         rests.append((k, model.device.kind, rest))
         for key, value in {"vt": bus.seen, "out": output}.items():
             seen[SEEN.index(key), k] = value
     return seen, rests
 
 
-def _rest(case: Case, k: int, model: Model, control: Control, row: dict[str, float]) -> RestPoint | Unrest:
+def _rest(
+    case: Case, k: int, model: Model, control: Control, row: dict[str, float], room: float
+) -> RestPoint | Unrest:
     m, word = case.machines[k], model.device.kind
     seen = {name: row.get(name, 0.0) for name in KINDS[word].inputs}
     who = f"{case.name}: machines.{m.name}.{word}"
     output = row[KINDS[word].output] if model.device.references else None
-    return _rest_of(model, control_numbers(model, control, m.base_mva), seen, output, who, m.name, word)
+    return _rest_of(model, control_numbers(model, control, m.base_mva), seen, output, who, m.name, word, room)
 
 
 def _rest_of(
     model: Model, numbers: dict[str, float | str], seen: dict[str, float], output: float | None, who: str,
-    row: str, word: str,
+    row: str, word: str, room: float,
 ) -> RestPoint | Unrest:  # fmt: skip
     try:
-        rest = rest_of(model, numbers, seen, output, who)
+        rest = rest_of(model, numbers, seen, output, who, room=room)
         if model.device.kind in AT_BUS:
             coupling_of(rest.instance)
     except DeviceError as error:

@@ -8,9 +8,14 @@ from ..case.case import Case
 from ..devices.instance import Margin
 from ..devices.language.device import NO_LIMIT
 from ..devices.release import released
+from ..errors import DeviceError
 from .control_tables import Unrest, rests_of, row_name
 from .equilibrium import machine_points
 from .powerflow import PowerFlow, solve_powerflow
+
+#: a signal nearer to its limit than this, relative to it, rests at the limit: linear models hold for one
+#: side of it, and `release_limits` widens it
+AT_LIMIT = 1e-6
 
 
 @dataclass(frozen=True)
@@ -28,6 +33,11 @@ class ControlMargin:
         upper = m.high - m.value <= m.value - m.low
         return (m.high_text if upper else m.low_text) or f"{m.high if upper else m.low:g}"
 
+    @property
+    def at_limit(self) -> bool:
+        """Whether it rests at that limit."""
+        return self.margin.least <= AT_LIMIT * max(1.0, abs(self.margin.value))
+
 
 @dataclass(frozen=True)
 class Start:
@@ -39,9 +49,22 @@ class Start:
     def text(self) -> str:
         """Return one line, and one for each control that cannot rest."""
         if not self.unrest:
-            return "start: every control rests within its limits"
+            return "\n".join(self._at_limits()) or "start: every control rests within its limits"
         head = f"start: {len(self.unrest)} controls cannot rest (--release-limits widens limits)"
         return "\n".join([head, *(f"  {item.error}" for item in self.unrest)])
+
+    def _at_limits(self) -> list[str]:
+        at = [item for item in self.margins if item.at_limit]
+        if not at:
+            return []
+        head = f"start: {len(at)} limits at which a control rests (--release-limits widens them)"
+        listed = (
+            f"  {one.control}: {one.margin.signal} is {one.margin.value:.6g} at rest, at {one.limit} "
+            f"({one.margin.least:.1g} from it); linear models take the limit as "
+            f"{'active' if one.margin.least < 0.0 else 'inactive'}"
+            for one in at
+        )
+        return [head, *listed]
 
 
 def start_of(case: Case, power_flow: PowerFlow | None = None) -> Start:
@@ -65,16 +88,28 @@ def start_of(case: Case, power_flow: PowerFlow | None = None) -> Start:
 
 
 def release_limits(case: Case, power_flow: PowerFlow | None = None) -> tuple[Case, tuple[str, ...]]:
-    """Return `case` with the limits widened that keep controls from resting, and what was changed.
+    """Return `case` with limits widened beyond or at which controls would rest, and what was changed.
 
     Raises
     ------
     CaseError : a control that cannot rest for another reason than a limit.
     """
+    power_flow = solve_powerflow(case) if power_flow is None else power_flow
+    points, _, _, buses = machine_points(case, power_flow)
     change: dict[str, dict[str, dict[str, dict[str, float]]]] = {}
     messages: list[str] = []
-    for item in start_of(case, power_flow).unrest:
-        new = released(item.model, item.numbers, item.seen, item.output, item.who)
+    resting = {
+        (k, word) for k, word, rest in rests_of(case, points, buses)[1] if not isinstance(rest, Unrest)
+    }
+    for k, word, item in rests_of(case, points, buses, room=AT_LIMIT)[1]:
+        if not isinstance(item, Unrest):
+            continue
+        try:
+            new = released(item.model, item.numbers, item.seen, item.output, item.who, AT_LIMIT)
+        except DeviceError:
+            if (k, word) in resting:  # at a limit that no parameter moves it stays
+                continue
+            new = released(item.model, item.numbers, item.seen, item.output, item.who)
         table = "svcs" if item.word == "control" else "machines"
         change.setdefault(table, {}).setdefault(item.row, {})[item.word] = new
         for name, value in new.items():

@@ -69,7 +69,7 @@ def test_pendulum_has_its_closed_form_eigenvalues() -> None:
     ("plant", "says"),
     [
         (Pendulum(wrong=1e-3), "exact Jacobian disagrees"),
-        (Pendulum(limit=9.81 * np.sin(0.3)), "limit active"),
+        (Pendulum(limit=9.81 * np.sin(0.3), wrong=1e-3), "limit active"),
         (Pendulum(wrong=np.nan), "not finite"),
     ],
 )
@@ -82,8 +82,21 @@ def test_a_limit_that_is_near_and_not_reached_is_none() -> None:
     # within the first steps of the differences (1e-5 of 2.9), not within the smaller ones
     near = linearise(Pendulum(limit=9.81 * np.sin(0.3) + 4e-5))
     assert np.array_equal(near.A, linearise(Pendulum()).A)
+
+
+@pytest.mark.parametrize("room", [0.0, 4e-7])
+def test_at_a_limit_the_exact_slope_is_that_of_one_side(room: float) -> None:
+    assert np.array_equal(linearise(Pendulum(limit=9.81 * np.sin(0.3) + room)).A, linearise(Pendulum()).A)
+
+
+def test_at_a_limit_any_other_slope_is_refused() -> None:
+    class Wrong(Pendulum):
+        def jacobians(self, x: NDArray | None = None, u: NDArray | None = None) -> tuple[NDArray, ...]:
+            A, B, C, D = super().jacobians(x, u)
+            return A, 0.3 * B, C, D
+
     with pytest.raises(LinearisationError, match="limit active"):
-        linearise(Pendulum(limit=9.81 * np.sin(0.3) + 4e-7))
+        linearise(Wrong(limit=9.81 * np.sin(0.3)))
 
 
 def test_a_plant_that_moves_is_refused() -> None:

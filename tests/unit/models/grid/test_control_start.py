@@ -85,3 +85,19 @@ def test_an_import_says_how_its_controls_start(tmp_path):
     assert "exciter.EMAX: 1.2 -> " in imported.report.text()
     rest = operating_point(imported.case).controls.of("exciter")[0].rest
     assert rest.instance.values["EMAX"] == pytest.approx(1.1 * rest.output, rel=1e-9)
+
+
+@pytest.mark.parametrize(("beyond", "taken"), [(0.0, "inactive"), (1e-10, "active"), (-1e-9, "inactive")])
+def test_a_control_that_rests_at_its_limit_is_told_and_released(beyond, taken):
+    limit = FIELD[0] - beyond
+    at = GRID.with_changes({"machines": {GRID.machines[0].name: {"exciter": {"Efd_max": limit}}}}, name="at")
+    name = GRID.machines[0].name
+    head, line = start_of(at).text().splitlines()
+    assert head == "start: 1 limits at which a control rests (--release-limits widens them)"
+    assert line.startswith(f"  {name}.exciter: efd is {FIELD[0]:.6g} at rest, at Efd_max (")
+    assert line.endswith(f"linear models take the limit as {taken}")
+    operating_point(at)
+    case, changed = release_limits(at)
+    assert case.machines[0].exciter.parameters["Efd_max"] == pytest.approx(1.1 * FIELD[0], rel=1e-6)
+    assert len(changed) == 1
+    assert start_of(case).text() == "start: every control rests within its limits"
