@@ -27,7 +27,7 @@ from interarea.models.errors import CaseError
 from ..designs.acceptance import AcceptanceTable, FaultPlace
 from ..designs.design_file import DesignTable, design_of
 from ..designs.design_tables import PointTable
-from ..designs.family import at_point
+from ..designs.family import DENSE_STATES, at_point
 from ..designs.short_designs import LATENCY_S, ShortDesign, short_designs
 from ..designs.swing_sensitivity import STEP_S, first_swing
 from .choices import WEAK
@@ -45,6 +45,8 @@ ENOUGH = 0.25
 WORTH_AN_ACTUATOR = 0.02
 LIMIT_PU = 0.05  #: of each output, as field installations limit stabilizers [IEEE421.5-2016]
 PLANT_ORDER = 40  #: of the models of the search; the certificate takes the full plants
+#: rows of a certificate of a large grid, seconds each: as many operating points as fit, two at least
+LARGE_ROWS = 80
 RUNS = 60  #: at one operating point, each fault with nothing lost and each signal lost: as many faults as fit
 #: rad/s and s: at this common rise the limit is 0; of .3 and .6, tried on the two areas, .3 did less harm.
 #: Without governors a grid's speed goes on rising (New England: .03 rad/s each second, a minute long): behind
@@ -141,10 +143,13 @@ def propose(
     the design file names it by.
     """
     weak, tried, choices = findings.weak, findings.points, findings.weak.choices
-    kept = chosen_points(tried)
-    names = {point.name for point in kept}
     parts = {a: _signals(weak, a, s) for a, s in taken.chosen.loops.items()}
     signals = tuple(dict.fromkeys(s for seen in parts.values() for s in seen))
+    conditions = _conditions(signals, choices.latencies_ms)
+    kept = chosen_points(tried)
+    if weak.plant.nstates > DENSE_STATES:
+        kept = kept[: max(LARGE_ROWS // len(conditions), 2)]
+    names = {point.name for point in kept}
     acceptance = _acceptance(weak, tried, kept, RUNS // (1 + len(signals)))
     guard = _guard(weak, acceptance, parts, cache)
     least = [_least_of_all(row) for row in tried if row.point.name in names]
@@ -152,7 +157,7 @@ def propose(
     keys: dict[str, Any] = {
         "name": name or re.sub("^(?=[^A-Za-z_])|[^A-Za-z0-9_]+", "_", weak.case.name),
         "case": case or weak.case.name,
-        "conditions": _conditions(signals, choices.latencies_ms),
+        "conditions": conditions,
         "slowest_pole": 0.3,
         "fastest_pole": 60.0,
         "effort_cap": [[0.05, choices.effort], [300.0, choices.effort]],

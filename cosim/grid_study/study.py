@@ -118,8 +118,12 @@ def study_grid(
             controller.save(out / "controller.json")
             written()
             report(latency, 0.0)
-            study["left_out"] = _left_out(done.proposal, controller, cache)
-            study["latency"] = _over_latency(table, controller, case, cache)
+            if clock.over(latency):
+                clock.leave("damping over latency")
+            else:
+                study["latency"] = _over_latency(table, controller, case, cache)
+                written()
+            study["left_out"] = _left_out(done.proposal, controller, cache, clock)
             report(latency, 1.0)
             report(last, 0.0)
             place(plant_fmu(case, cache), out / "fmus" / "plant.fmu")
@@ -222,32 +226,31 @@ def _rival(table: DesignTable, case: Case, cache: Path, report: Report) -> Contr
     return Controller.from_dict(cached_json(cache, "grid-rival", key, made))
 
 
-def _left_out(proposal: Proposal, controller: Controller, cache: Path) -> list[dict[str, Any]]:
+def _left_out(proposal: Proposal, controller: Controller, cache: Path, clock: Clock) -> list[dict[str, Any]]:
     """Judge the controller at operating points that were tried and are not in the design."""
-    table = proposal.table
-    cases = {row.point.name: at_point(table.grid, row.point) for row in proposal.left_out}
-    if not cases:
-        return []
-    key = content_hash(
-        [case.hash for case in cases.values()],
-        table.model_dump(mode="json"),
-        controller.as_dict(),
-        code_hash(judge_family.__module__),
-    )
+    table, rows = proposal.table, []
+    for row in proposal.left_out:
+        if clock.over("latency"):
+            clock.leave(f"the controller at {row.point.name}, which is not in its design")
+            continue
+        case = at_point(table.grid, row.point)
 
-    def made() -> list[dict[str, Any]]:
-        plants = {
-            name: FamilyPlant.of(case, table.signals, table.actuators, cache) for name, case in cases.items()
-        }
-        judged = judge_family(
-            {name: plant.judged for name, plant in plants.items()},
-            controller.system,
-            table.family(),
-            bands_hz={name: inter_area_band(plant.modes) for name, plant in plants.items()},
+        def made(name: str = row.point.name, case: Case = case) -> list[dict[str, Any]]:
+            plant = FamilyPlant.of(case, table.signals, table.actuators, cache)
+            band = inter_area_band(plant.modes)
+            judged = judge_family(
+                {name: plant.judged}, controller.system, table.family(), bands_hz={name: band}
+            )
+            return [asdict(one) for one in judged.rows]
+
+        key = content_hash(
+            case.hash,
+            table.model_dump(mode="json"),
+            controller.as_dict(),
+            code_hash(judge_family.__module__),
         )
-        return [asdict(row) for row in judged.rows]
-
-    return list(cached_json(cache, "grid-left-out", key, made))
+        rows += cached_json(cache, "grid-left-out", key, made)
+    return rows
 
 
 def _over_latency(

@@ -132,7 +132,7 @@ def test_a_study_of_a_grid_from_its_name_alone(
         load_case("two-area-thesis"),
         tmp_path,
         default_cache(),
-        choices=Choices(grid="two-area-thesis", most_actuators=1),
+        choices=Choices(grid="two-area-thesis", most_actuators=1, signals=2, latencies_ms=(150,), faults=2),
         report=report,
     )
     assert set(done) == set(STAGES)
