@@ -8,7 +8,7 @@ from math import pi
 from pathlib import Path
 
 from interarea.design.delay.signal_conditions import condition_of_many
-from interarea.design.errors import InfeasibleDesign
+from interarea.design.errors import InfeasibleDesign, UncertifiedDesign
 from interarea.design.linear.linearise import remove_reference
 from interarea.design.modes.loop_points import LoopSet
 from interarea.design.robust.design import design_robust
@@ -33,8 +33,8 @@ _CAP = 0.6  # pu per rad/s
 class ShortDesign:
     """A set of loops, and the least damping ratio of any inter-area root with nothing and everything late.
 
-    damping : 0 where no stable controller was found. own : of loops that see their own machine's speed alone,
-    at least that without control.
+    damping : 0 where no stable controller was found, or not all of its modes are known. own : of loops that
+    see their own machine's speed alone, at least that without control.
     """
 
     chosen: LoopSet
@@ -130,9 +130,9 @@ def _reached(plant: FamilyPlant, sees: dict[str, tuple[str, ...]], latency_s: fl
     )
     try:
         design = design_robust({"base": plant.searched}, spec, plant.case.omega_b)
-    except InfeasibleDesign:
+        judged = judge_family({"base": plant.judged}, design.system, conditions, bands_hz={"base": band_hz})
+    except (InfeasibleDesign, UncertifiedDesign):
         return 0.0
-    judged = judge_family({"base": plant.judged}, design.system, conditions, bands_hz={"base": band_hz})
     return float(judged.inter_area)
 
 

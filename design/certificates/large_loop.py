@@ -36,6 +36,7 @@ SWING_HZ = (0.1, 2.5)  #: frequencies in which a root counts as a swing
 WELL_DAMPED = 0.6
 _BELOW = (0.05, 0.1, 0.2, 0.4)  # damping ratios up to which the least damped swing is looked for, in turn
 _FIRST, _SHORTEST, _LONGER = 0.05, 1e-7, 1.6  # steps of the gain
+_MOST_STEPS = 300  # of a mode that is followed, halved ones counted
 _BESIDE = 0.3  # of a step's length: how far from the secant a followed mode may end
 _SAME_SHAPE = 0.6  # |w' v| of a mode before the step and after it, at least
 _EFFORT_RAD_S, _EFFORT_POINTS, _PEAKS = (1e-2, 1e3), 300, 4
@@ -129,8 +130,9 @@ class LargePlant:
         UncertifiedDesign : it was lost on its way.
         """
         s, x, y = mode.eigenvalue, mode.right, mode.left
-        gain, step, slope = 0.0, _FIRST, 0.0j
+        gain, step, slope, tries = 0.0, _FIRST, 0.0j, 0
         while gain < 1.0:
+            tries += 1
             step = min(step, 1.0 - gain)
             loop = self.late(K, condition, gain + step)
             end, right, left, residual = loop.exact(s + step * slope, x, y)
@@ -142,7 +144,7 @@ class LargePlant:
                 step *= _LONGER
             else:
                 step *= 0.5
-            if not step >= _SHORTEST:
+            if not step >= _SHORTEST or tries > _MOST_STEPS:
                 raise UncertifiedDesign(
                     f"condition {condition.name!r}: {mode.name!r} was lost at {gain:.4g} of the loop's gain, "
                     f"near {s:.6g}, on its way from the open loop; its damping is not known, so this "

@@ -13,6 +13,7 @@ import pytest
 from interarea.cosim.designs.design_file import load_design
 from interarea.cosim.designs.family import FamilyPlant, family_plants
 from interarea.cosim.run.artefacts import sparse_linear_plant
+from interarea.design.certificates import large_loop
 from interarea.design.certificates.closed_loop import closed_loop_matrix
 from interarea.design.certificates.large_loop import LargePlant
 from interarea.design.controllers.bundled import shipped_controller
@@ -87,6 +88,15 @@ def test_two_names_for_one_mode_are_no_certificate() -> None:
     twice.__dict__["inter_area"] = (mode, replace(mode, name="inter-area 2"))
     with pytest.raises(UncertifiedDesign, match=r"'inter-area' and 'inter-area 2' both lead to"):
         twice.followed(K, condition_of_many("N", TABLE.signals))
+
+
+def test_a_mode_is_not_followed_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
+    large = base()[1]
+    (mode,) = large.inter_area
+    assert large.follow(K, condition_of_many("s150", TABLE.signals), mode).real < 0.0
+    monkeypatch.setattr(large_loop, "_MOST_STEPS", 2)
+    with pytest.raises(UncertifiedDesign, match="was lost at"):
+        large.follow(K, condition_of_many("s150", TABLE.signals), mode)
 
 
 def test_a_model_of_a_large_grid_answers_as_the_grid_does(cache: Path) -> None:
