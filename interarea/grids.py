@@ -10,7 +10,7 @@ import control
 
 from interarea.cosim.designs.ranked_loops import ranked_loops
 from interarea.cosim.run.artefacts import growth_at_rest, linear_plant, sparse_linear_plant
-from interarea.design.linear.linearise import remove_reference
+from interarea.design.linear.linearise import remove_reference, speeds_in_rad
 from interarea.design.linear.systems import SystemLike, kind_of, state_space
 from interarea.design.modes.loop_choice import KINDS
 from interarea.design.modes.modes import modes_of
@@ -110,28 +110,38 @@ def import_case(
     return imported.case
 
 
-def linearise(case: Case | str | Path, *, reference: bool = False) -> control.StateSpace:
+def linearise(case: Case | str | Path, *, reference: bool = False, speeds: str = "pu") -> control.StateSpace:
     """Return the plant linearised at its operating point; states, inputs and outputs have names.
 
-    Inputs ``G1_vs`` ... in pu; outputs as the plant FMU gives them, speeds ``G1_dw`` ... in pu; time in s.
+    Inputs ``G1_vs`` ... in pu; outputs as the plant FMU gives them, speeds ``G1_dw`` ... in pu unless asked
+    for in rad/s; time in s. The system's name says which.
     The matrices are dense, of 3000 states at most; `loops`, `reduce` and ``interarea modes --band`` take all.
 
     Parameters
     ----------
     case : bundled name, file or `Case`.
     reference : keep the reference angle with its zero mode; default: angles relative to the first machine.
+    speeds : "pu", or "rad/s" as controllers take them (`certify`, `simulate`).
 
     Raises
     ------
-    UserError : no such case, no operating point, or too many states.
+    UserError : no such case, no operating point, too many states, or another unit.
 
     Examples
     --------
     >>> linearise("two-area-thesis").nstates
     55
+    >>> linearise("two-area-thesis", speeds="rad/s").name
+    'two-area-thesis, speeds in rad/s'
     """
-    system = linear_plant(case_like(case), default_cache())
-    return system if reference else remove_reference(system)
+    if speeds not in ("pu", "rad/s"):
+        raise UserError(f"speeds = {speeds!r}, allowed: 'pu', 'rad/s'")
+    loaded = case_like(case)
+    system = linear_plant(loaded, default_cache())
+    system = system if reference else remove_reference(system)
+    system = system if speeds == "pu" else speeds_in_rad(system, loaded.omega_b)
+    system.name = f"{system.name}, speeds in {speeds}"
+    return system
 
 
 def modes(case: Case | str | Path) -> SwingModes:

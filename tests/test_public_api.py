@@ -27,7 +27,8 @@ FUNCTIONS = {
     "signals: Sequence[str] = ('speed', 'frequency', 'angle', 'power', 'current'), "
     "actuators: Sequence[str] = (), latency_s: float = 0.0, together: int | None = None, most: int = 10, "
     "points: Mapping[str, Case] | None = None -> RankedLoops",
-    "linearise": "case: Case | str | Path, *, reference: bool = False -> control.StateSpace",
+    "linearise": "case: Case | str | Path, *, reference: bool = False, speeds: str = 'pu' "
+    "-> control.StateSpace",
     "reduce": "system: SystemLike | Case | str | Path, order: int, *, method: str = 'balanced', "
     "inputs: Sequence[str] = (), outputs: Mapping[str, Mapping[str, float]] | None = None -> Reduction",
     "design_controller": "spec: str | Path | Mapping[str, Any], *, case: Case | str | Path | None = None, "

@@ -32,7 +32,12 @@ def test_it_is_judged_under_plain_conditions_and_by_stability_alone() -> None:
     table = found.to_frame().set_index("condition")
     # the loop without delay, closed by hand: one path that shares no delay code
     plant = ia.linearise("two-area-thesis")[["G2_dw", "G4_dw"], ["G4_vs"]]
+    assert "speeds in pu" in str(ia.linearise("two-area-thesis").name)
     in_rad = control.ss(plant.A, plant.B, 2 * np.pi * 60 * plant.C, 2 * np.pi * 60 * plant.D)
+    given = ia.linearise("two-area-thesis", speeds="rad/s")[["G2_dw", "G4_dw"], ["G4_vs"]]
+    assert np.allclose(given.C, in_rad.C, rtol=1e-12)
+    with pytest.raises(ia.UserError, match="speeds = 'Hz', allowed: 'pu', 'rad/s'"):
+        ia.linearise("two-area-thesis", speeds="Hz")
     closed = control.feedback(in_rad, own().system, sign=1)
     rightmost = max(z.real for z in closed.poles() if abs(z) > 1e-6)
     assert table.rightmost["N"] == pytest.approx(rightmost, rel=1e-5)
