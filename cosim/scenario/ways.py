@@ -13,7 +13,7 @@ from interarea.models.table import Table
 from ..errors import ScenarioError
 from .channels import ChannelLine
 from .concentrators import ConcentratorLine, SignalWay
-from .signal_faults import SignalFault
+from .signal_faults import SignalFault, SwappedSignal
 
 if TYPE_CHECKING:  # tables are checked before what runs them, numpy with it, is loaded
     from interarea.models.blocks.pmu import PmuFilter
@@ -84,6 +84,27 @@ class ConcentratorTable(ConcentratorLine):
     """A concentrator: signals without a name are connected by `connections` (NAME.u1 .., NAME.y1 ..)."""
 
     signals: Annotated[tuple[SignalTable, ...], Field(min_length=1, max_length=MOST_SIGNALS)]
+
+    @model_validator(mode="after")
+    def _swaps(self) -> Self:
+        for own in self.signals:
+            for fault in own.signal_faults:
+                if not isinstance(fault, SwappedSignal):
+                    continue
+                other = self.signals[fault.other - 1]
+                kinds = {_quantity(s) for s in (own, other) if s.signal}
+                if len(kinds) > 1:
+                    raise ValueError(
+                        f"signal_faults: swap of {own.signal} with {other.signal}, of another quantity, "
+                        "allowed: signals of one quantity, such as two speeds"
+                    )
+        return self
+
+
+def _quantity(s: SignalTable) -> str:
+    """Return what a signal is of: a speed and a frequency are one."""
+    quantity = s.signal.rpartition("_")[2] if s.pmu is None else s.pmu.quantity
+    return {"dw": "frequency"}.get(quantity, quantity)
 
 
 class Way(NamedTuple):

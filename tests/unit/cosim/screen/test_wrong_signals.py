@@ -178,3 +178,30 @@ def test_options_that_do_not_go_together(tmp_path: Path) -> None:
     bare = table.model_copy(update={"acceptance": None, "fault": None})
     with pytest.raises(UserError, match="the design robust has no fault"):
         fault_place(bare)
+
+
+@pytest.mark.parametrize(
+    ("other", "says"),
+    [
+        ({"signal": "G2_dw"}, None),
+        ({"signal": "f7", "pmu": {"bus": 7}}, None),
+        (
+            {"signal": "G2_pe"},
+            "swap of G4_dw with G2_pe, of another quantity, allowed: signals of one quantity",
+        ),
+        ({"signal": "v7", "pmu": {"bus": 7, "quantity": "v"}}, "swap of G4_dw with v7, of another quantity"),
+    ],
+)
+def test_a_swap_of_two_quantities_is_refused(other: dict[str, Any], says: str | None) -> None:
+    swapped = {"signal": "G4_dw", "signal_faults": [{"kind": "swap", "other": 2, "start_s": 1.5}]}
+    table = {
+        "case": "two-area-thesis",
+        "controller": "robust",
+        "stop_s": 2.0,
+        "concentrators": {"pdc": {"signals": [swapped, other]}},
+    }
+    if says is None:
+        assert load_scenario(table).concentrators["pdc"].signals[0].signal_faults[0].kind == "swap"
+    else:
+        with pytest.raises(ScenarioError, match=says):
+            load_scenario(table)
