@@ -32,6 +32,16 @@ def sample_study() -> dict[str, Any]:
             "local area 1": _mode(1.1393, 0.2466),
             "local area 2": _mode(1.2109, 0.2041),
         },
+        "participation": {
+            "inter-area": {"G1": 0.3, "G2": 0.2, "G3": 0.3, "G4": 0.2},
+            "local area 1": {"G1": 0.48, "G2": 0.48, "G3": 0.02, "G4": 0.02},
+            "local area 2": {"G1": 0.02, "G2": 0.02, "G3": 0.48, "G4": 0.48},
+        },
+        "modes_without_stabilizers": {
+            "inter-area": _mode(0.62, 0.02),
+            "local area 1": _mode(1.15, 0.07),
+            "local area 2": _mode(1.2, 0.07),
+        },
         "loops": {
             "ranking": [
                 {"actuator": "G4", "signal": "dw24", "index": 0.19, "geometric": 0.17},
@@ -52,6 +62,7 @@ def sample_study() -> dict[str, Any]:
                 "relative_error": 0.11 / int(order),
                 "relative_bound": 0.4 / int(order),
                 "relative_next_hankel": 0.05 / int(order),
+                "mode_errors": {name: 0.06 / int(order) for name in NAMES},
                 "optimal_hankel": {
                     "relative_error": 0.1 / int(order),
                     "relative_bound": 0.4 / int(order),
@@ -344,6 +355,7 @@ def _scenario(zeta: float, settling_time_s: float | None) -> dict[str, Any]:
         "title": "a run",
         "stable": zeta > 0,
         "damping_ratio": zeta,
+        "ring_down": zeta + 0.001,
         "settling_time_s": settling_time_s,
         "peak_dw24": 8.1e-4,
         "energy": 3.2e-7,

@@ -6,13 +6,16 @@ import hashlib
 from pathlib import Path
 from typing import Any
 
+import control
 import numpy as np
 
 from interarea.design.linear.linearise import select
 from interarea.design.linear.norms import hinf_of
 from interarea.design.modes.loop_selection import Loops
-from interarea.design.modes.modes import Modes
+from interarea.design.modes.modes import Modes, modes_of
+from interarea.models.case.case import Case
 
+from ..run.artefacts import linear_plant
 from .figures import OMEGA, StudyParts, loop_functions, weight_gains
 from .methods import hankel_row
 from .runs import WIRINGS, StudyRun
@@ -29,6 +32,7 @@ def study_rows(parts: StudyParts, loops: Loops, states: int) -> dict[str, Any]:
         "case": parts.case.name,
         "plant": {"states": states, "relative_states": parts.plant.nstates},
         "modes": mode_rows(parts.modes),
+        "participation": participation_rows(parts),
         "loops": loop_rows(loops),
         "reduction": reduction_rows(parts),
         "controllers": {
@@ -53,6 +57,28 @@ def mode_rows(modes: Modes) -> dict[str, dict[str, Any]]:
         }
         for name, mode in modes.items()
     }
+
+
+def participation_rows(parts: StudyParts) -> dict[str, dict[str, float]]:
+    """Return mode -> machine -> its share of what the states of all machines take part in the mode."""
+    rows = {}
+    for name, mode in parts.modes.items():
+        shares = {
+            m.name: sum(
+                share for state, share in mode.participation.items() if state.startswith(f"{m.name}.")
+            )
+            for m in parts.case.machines
+        }
+        whole = sum(shares.values())
+        rows[name] = {machine: float(share / whole) for machine, share in shares.items()}
+    return rows
+
+
+def modes_without_stabilizers(case: Case, cache: Path) -> dict[str, dict[str, Any]]:
+    """Return `mode_rows` of a case whose machines have no stabilizer."""
+    change = {m.name: {"stabilizer": None} for m in case.machines if m.stabilizer is not None}
+    bare = case.with_changes({"machines": change}, name=f"{case.name}-no-stabilizers") if change else case
+    return mode_rows(modes_of(linear_plant(bare, cache), bare.areas))
 
 
 def loop_rows(loops: Loops) -> dict[str, Any]:
@@ -94,19 +120,33 @@ def reduction_rows(parts: StudyParts) -> dict[str, dict[str, Any]]:
             "relative_bound": None if reduction.bound is None else float(reduction.bound / size),
             "relative_next_hankel": following / float(sigma[0]),
             "hankel_values": [float(s) for s in sigma[:20]],
+            "mode_errors": mode_errors(system, parts.modes),
             "optimal_hankel": hankel_row(full, reduction.order),
         }
     return out
 
 
+def mode_errors(system: control.StateSpace, modes: Modes) -> dict[str, float]:
+    """Return mode -> distance of the nearest pole of a reduced plant from its root, over the root's size."""
+    poles = np.linalg.eigvals(np.asarray(system.A))
+    return {
+        name: float(np.min(np.abs(poles - mode.eigenvalue)) / abs(mode.eigenvalue))
+        for name, mode in modes.items()
+    }
+
+
 def scenario_row(run: StudyRun) -> dict[str, Any]:
-    """Return a run's numbers; `damping_ratio` is the inter-area mode's, `modes` has all that show."""
+    """Return a run's numbers; `damping_ratio` is that of the inter-area mode's root, `modes` has all named.
+
+    ring_down : of the inter-area mode as fitted to the run's speeds; None where it does not show.
+    """
     m = run.metrics
     return {
         "title": run.title,
         "stable": bool(m["stable"]),
         "damping_ratio": m["damping_ratio"].get("inter-area"),
         "modes": m["damping_ratio"],
+        "ring_down": m["ring_down"].get("inter-area"),
         "settling_time_s": m["settling_time_s"],
         "peak_dw24": m["peak_pu"],
         "energy": m["energy_pu2s"],

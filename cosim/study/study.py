@@ -217,6 +217,7 @@ def run_study(
         done = stage("report")
         fmus = {label: complete_fmu(path, cache) for label, path in fmus.items()}
         study = rows.study_rows(parts, loops, full.nstates)
+        study["modes_without_stabilizers"] = rows.modes_without_stabilizers(case, cache)
         study["packets"] = packets
         study["survival"] = survival
         study["methods"] = methods

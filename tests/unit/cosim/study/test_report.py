@@ -84,6 +84,11 @@ def test_page_shows_printed_beside_ours(figure: Path) -> None:
         assert word in text
 
 
+def test_the_ring_down_stands_beside_the_root(figure: Path) -> None:
+    text = render_report(sample_study(), {"5.10": figure})
+    assert '<td class="n">0.296</td><td class="n">0.297</td>' in text
+
+
 def test_packets_are_told(figure: Path) -> None:
     text = render_report(sample_study(), {"5.10": figure})
     for word in ("42.7 %", "−0.2471", "11 of 12", "5.20 s, 6.30 s, 7.90 s"):

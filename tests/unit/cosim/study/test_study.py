@@ -26,7 +26,7 @@ from interarea.cosim.study.delay import least_damping
 from interarea.cosim.study.figures import OMEGA, StudyParts, loop_functions, weight_gains
 from interarea.cosim.study.methods import order_rows
 from interarea.cosim.study.packet_loss import monte_carlo_documents
-from interarea.cosim.study.rows import sensitivity_row
+from interarea.cosim.study.rows import mode_errors, modes_without_stabilizers, sensitivity_row
 from interarea.cosim.study.runs import run_folders, scenario_documents
 from interarea.cosim.study.spec import SPECIFICATIONS, design_specs, load_study, study_names
 from interarea.cosim.study.study import STAGES, run_study
@@ -222,6 +222,22 @@ def test_a_specification_that_does_not_exist_is_refused(tmp_path: Path, table: s
         load_study(str(with_table(tmp_path, f"\n{table}")))
 
 
+def test_a_reduced_plant_without_a_mode_shows_it(modes: Modes) -> None:
+    """Its only pair lies 2 % beside the inter-area root; the local modes have none near."""
+    root = 1.02 * modes.inter_area.eigenvalue
+    A = [[root.real, root.imag], [-root.imag, root.real]]
+    errors = mode_errors(control.ss(A, [[1.0], [0.0]], [[1.0, 0.0]], 0.0), modes)
+    assert errors["inter-area"] == pytest.approx(0.02, rel=1e-9)
+    assert min(errors["local area 1"], errors["local area 2"]) > 0.4
+
+
+def test_without_stabilizers_the_inter_area_mode_grows(two_area: Case, cache: Path) -> None:
+    """They add .09 to it: "could not damp" (6.1) does not hold of this grid."""
+    bare = modes_without_stabilizers(two_area, cache)
+    assert bare["inter-area"]["damping_ratio"] == pytest.approx(-0.008, abs=5e-4)
+    assert bare["local area 1"]["damping_ratio"] == pytest.approx(0.086, abs=5e-4)
+
+
 def test_swing_poles_are_poles_of_the_closed_loop(
     plant: control.StateSpace, modes: Modes, hand_controller: Controller
 ) -> None:
@@ -361,6 +377,11 @@ def test_the_whole_study(tmp_path: Path, cache: Path) -> None:
     assert rule["ftc", "hold"]["decay_rate"]["0.7"] < 0.0
     for row in study["packets"]["monte_carlo"]:
         assert row["stable"] == row["runs"] == 12, row["controller"]
+        least, median, largest = row["inter_area"]  # one root for all runs would give one number
+        assert least < median < largest, row["controller"]
+    measured = study["scenarios"]["none-pulse"]["ring_down"]
+    assert measured == pytest.approx(inter["damping_ratio"], abs=0.002)
+    assert measured != pytest.approx(inter["damping_ratio"], abs=1e-6)
     margin = study["delay"]["synchronous"]["margin_s"]
     assert study["scenarios"]["wdc-margin-below"]["stable"]
     assert not study["scenarios"]["wdc-margin-above"]["stable"]
