@@ -140,7 +140,7 @@ def linear_matrices(case: Case, cache: Path) -> LinearMatrices:
     ------
     UserError : no operating point, several parts, or more states than `MOST_DENSE`.
     """
-    require_one_network(case, "each has a rotation of its own")
+    _require_linear(case)
     _require_dense(case)
     return matrices_of_fmu(plant_fmu(case, cache), cache)
 
@@ -180,6 +180,15 @@ def linearised(fmu: Path) -> LinearMatrices:
     return LinearMatrices(
         system.A, system.B, system.C, system.D, states, inputs, list(system.output_labels), start
     )
+
+
+def _require_linear(case: Case) -> None:
+    """Refuse a grid in parts, and one with a device at a bus on its limit."""
+    require_one_network(case, "each has a rotation of its own")
+    if case.svcs:
+        from interarea.models.grid.start import require_off_limits
+
+        require_off_limits(case)
 
 
 def states_beyond_dense(case: Case) -> int:
@@ -231,7 +240,7 @@ def sparse_linear_plant(case: Case, cache: Path) -> SparsePlant:
     from interarea.models.grid.equilibrium import operating_point
     from interarea.models.grid.machine_tables import in_plant_order
 
-    require_one_network(case, "each has a rotation of its own")
+    _require_linear(case)
     case = in_plant_order(case)
     point = operating_point(case)
     block = plant_block(case, event_slots=0, point=point)

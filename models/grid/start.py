@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ..case.case import Case
+from ..case.case import Case, CaseError
 from ..devices.instance import Margin
 from ..devices.language.device import NO_LIMIT
 from ..devices.release import released
@@ -85,6 +85,24 @@ def start_of(case: Case, power_flow: PowerFlow | None = None) -> Start:
         control, kind = row_name(case, k, word), rest.instance.model.device.key
         margins += [ControlMargin(control, kind, m) for m in rest.margins if m.least < NO_LIMIT / 2]
     return Start(tuple(unrest), tuple(sorted(margins, key=lambda m: m.margin.least)))
+
+
+def require_off_limits(case: Case) -> None:
+    """Refuse a linear study where a device at a bus rests on its limit: it is another system on either side.
+
+    Raises
+    ------
+    CaseError : which signal, its limit, its distance, and what to do; as `start_of`.
+    """
+    at_buses = {svc.name for svc in case.svcs}
+    for item in start_of(case).margins if at_buses else ():
+        m = item.margin
+        if item.control in at_buses and item.at_limit:
+            raise CaseError(
+                f"{case.name}: svcs.{item.control}: {m.signal} ({m.text}) rests at {m.value:.6g}, "
+                f"{max(m.least, 0.0):.1g} from its limit {item.limit}; there it acts to one side only, so a "
+                f"linear study has two answers; widen {item.limit}, or start elsewhere (V_pu, Q_mvar)"
+            )
 
 
 def release_limits(case: Case, power_flow: PowerFlow | None = None) -> tuple[Case, tuple[str, ...]]:

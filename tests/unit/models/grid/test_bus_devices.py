@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from plant_shim import BlockShim
 
+from interarea.cosim.run.artefacts import linear_matrices
 from interarea.design.linear.sparse_plant import SparsePlantError, sparse_plant
 from interarea.fmu_build.write.device_slopes import DeviceSlopes
 from interarea.models.blocks.plant import event_parameters, plant_block
@@ -16,6 +17,7 @@ from interarea.models.files import default_cache
 from interarea.models.grid.equilibrium import operating_point
 from interarea.models.grid.machine_tables import in_plant_order
 from interarea.models.grid.powerflow import solve_powerflow
+from interarea.models.grid.start import require_off_limits
 
 CONTROLS = {
     "svc": {"kind": "svc", "K": 10.0, "TR": 0.05, "TC": 0.65, "TB": 0.2},
@@ -132,6 +134,17 @@ def test_a_rest_beyond_its_limit_names_limit_and_remedy():
         CaseError, match=r"svcs.svc1.control: b .* is 0.49709 at rest, above BMAX = 0.3; set BMAX"
     ):
         operating_point(with_svc("svc", Q_mvar=100.0, control={"kind": "svc", "BMAX": 0.3}))
+
+
+def test_a_linear_study_on_a_limit_is_refused_with_the_margin():
+    q = float(operating_point(with_svc("svc", Q_mvar=60.0)).controls.at_buses[0].rest.output)
+    at_limit = with_svc("svc", Q_mvar=60.0, control={"kind": "svc", "BMAX": q})
+    with pytest.raises(
+        CaseError, match=r"svc1: b \(susceptance\) rests at 0.309\d*, 0 from its limit BMAX; .*widen"
+    ):
+        linear_matrices(at_limit, default_cache())
+    require_off_limits(with_svc("svc", Q_mvar=60.0, control={"kind": "svc", "BMAX": q + 1e-3}))
+    require_off_limits(load_case("two-area-thesis"))
 
 
 def test_an_output_that_is_no_state_is_refused():
