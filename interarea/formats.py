@@ -29,7 +29,7 @@ UNITS = {
 }
 _TABLES_OF_ROWS = ("buses", "branches", "shunts", "loads", "machines", "svcs")
 #: row of a table -> the field that the key of the row gives
-_ROW_IDS = {"Bus": "number", "Branch": "name", "Shunt": "name", "Load": "name", "Machine": "name"}
+_ROW_IDS = {"Bus": "number"} | dict.fromkeys(("Branch", "Shunt", "Load", "Machine", "Svc"), "name")
 #: fields that are no keys of the file
 _INNER = {"scenario": ("folder", "rounded"), "case": ("sources",)}
 
