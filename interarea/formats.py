@@ -27,9 +27,11 @@ UNITS = {
     "_rad_s": "rad/s",
     "_kv": "kV",
 }
-_TABLES_OF_ROWS = ("buses", "branches", "shunts", "loads", "machines", "svcs")
+_TABLES_OF_ROWS = ("buses", "branches", "shunts", "loads", "machines", "svcs", "converters")
 #: row of a table -> the field that the key of the row gives
-_ROW_IDS = {"Bus": "number"} | dict.fromkeys(("Branch", "Shunt", "Load", "Machine", "Svc"), "name")
+_ROW_IDS = {"Bus": "number"} | dict.fromkeys(
+    ("Branch", "Shunt", "Load", "Machine", "Svc", "Converter"), "name"
+)
 #: fields that are no keys of the file
 _INNER = {"scenario": ("folder", "rounded"), "case": ("sources",)}
 

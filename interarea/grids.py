@@ -53,7 +53,7 @@ def import_case(
     Q_exponent: float | None = None,
     strict: bool = False,
     island: int | str | None = None,
-    converters: str = "refuse",
+    converters: str = "model",
     coordinates: str | Path | None = None,
     release_limits: bool = False,
     devices: Sequence[str | Path] = (),
@@ -69,7 +69,7 @@ def import_case(
     P_exponent, Q_exponent : of RAW loads against voltage; constant impedance (2) when not given.
     strict : an assumption is an error.
     island : a bus of the island to keep, or "all" with a slack bus; the largest of these when not given.
-    converters : "refuse", or "current" for inverters and units without dynamic data as constant currents.
+    converters : "model", or "current" for inverters and units without dynamic data as constant currents.
     coordinates : CSV with the columns bus, latitude, longitude.
     release_limits : widen the limits beyond which controls would start; what was changed is in the report.
     devices : files of devices of one's own; records of their names (USRMDL or not) become these.

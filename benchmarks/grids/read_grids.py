@@ -233,7 +233,7 @@ def main() -> int:
     parser.add_argument("--export", action="store_true", help="write it and read it back as well")
     parser.add_argument("--command", action="store_true", help="measure the command of each pair as well")
     parser.add_argument("--stop", type=float, default=20.0, metavar="S")
-    parser.add_argument("--converters", choices=("refuse", "current"), default="refuse")
+    parser.add_argument("--converters", choices=("model", "current"), default="model")
     parser.add_argument("--release-limits", action="store_true")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()

@@ -30,7 +30,10 @@ def wrong_names(table: Mapping[str, Any], where: str, folder: Path) -> list[str]
     lines, named = list(wrong_controller(table.get("controller"), where, folder)), table.get("case")
     lines += [
         f"{where}: {key}: what a grid holds stands in a case file (`interarea new case`), which case = names"
-        for key in ("base", "change", "buses", "branches", "shunts", "loads", "machines", "svcs")
+        for key in (
+            *("base", "change", "buses", "branches", "shunts", "loads", "machines"),
+            *("svcs", "converters"),
+        )
         if key in table
     ]
     if not isinstance(named, str) or not named:

@@ -38,7 +38,7 @@ from .spec import Path_, Sweep
 from .values import Value
 
 OPERATING = ("tie_flow_mw", "load_scale", "out")
-CASE_TABLES = ("buses", "branches", "shunts", "loads", "machines", "svcs")
+CASE_TABLES = ("buses", "branches", "shunts", "loads", "machines", "svcs", "converters")
 _ROOTS = (
     *("seed", "case", "controller", "channels", "concentrators", "event", "fmus"),
     *("stop_s", "step_s", "master"),

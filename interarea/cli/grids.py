@@ -43,9 +43,9 @@ def import_grid(
     converters: Annotated[
         str,
         typer.Option(
-            "--converters", metavar="refuse|current", help="converters, units without data as currents"
+            "--converters", metavar="model|current", help="or converters, units without data as currents"
         ),
-    ] = "refuse",
+    ] = "model",
     coordinates: Annotated[
         Path | None, typer.Option("--coordinates", metavar="CSV", help="bus, latitude, longitude")
     ] = None,

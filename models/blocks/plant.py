@@ -265,7 +265,7 @@ def _ports_and_pattern(
 ) -> tuple[npt.NDArray[np.float64], SparsePattern | None]:
     at_buses = point.controls.at_buses
     couplings = [(d.word, d.coupling()) for d in at_buses]
-    devices = device_ports(case, couplings, point.state_names, [d.rest.output for d in at_buses])
+    devices = device_ports(case, couplings, point.state_names, [d.rest.signals for d in at_buses])
     ports = port_table(case, point.load_volts, list(range(len(case.machines))), list(point.gaps), devices)
     return ports, network_pattern(case, ports, network)
 
@@ -293,7 +293,7 @@ def _data(
     else:
         reduced = is_reduced(pattern, len(case.machines), len(ports), network)
         counts += [len(pattern.row), pattern.fill, pattern.first, int(reduced)]
-    counts += [len(seen["tie.branch"]) - ties, len(case.svcs)]
+    counts += [len(seen["tie.branch"]) - ties, len(case.at_buses)]
     arrays: dict[str, Any] = {
         "plant.counts": _int(counts),
         "plant.base": np.array([case.omega_b, case.base_mva]),
@@ -340,7 +340,7 @@ def _group_arrays(
         "device.machine": _int(d.place for group, _ in groups for d in group.devices),
         "device.table": np.concatenate(provided) if provided else np.zeros(0),
         "device.signature": _int([signature(own.values())]),
-        "input.machine": _int(d.place for d in point.controls.inputs),
+        "input.machine": _int(i.place for i in point.controls.inputs),
         "machine.rest": point.controls.seen,
         "state.rest": point.x0,
     }
@@ -362,7 +362,7 @@ _ACTS_ON = {
     "machine": ("machines", "vref_pulse, pm_pulse, machine_trip, frequency_trip"),
     "load": ("loads", "load_step, frequency_shed"),
     "shunt": ("shunts", "shunt_switch"),
-    "device": ("svcs", "device_trip"),
+    "device": ("at_buses", "device_trip"),
 }
 
 

@@ -18,7 +18,7 @@ from .variables import Variable
 #: ShowKind of plant/numbers/layout.h
 KINDS = (
     *("dw", "delta", "pe", "vt", "tie", "bus_v", "efd", "pm", "line_p", "line_q"),
-    *("line_i", "bus_angle", "bus_re", "bus_im", "device_q"),
+    *("line_i", "bus_angle", "bus_re", "bus_im", "device_q", "device_p"),
 )
 MOST_MACHINES = 100  #: of a grid that shows everything unless told otherwise
 #: names of states that outputs which see the network may list altogether, since in FMI an output that lists
@@ -128,7 +128,9 @@ def shown_tables(
     for place, (kind, device) in enumerate(ports[:, :2].astype(int)):
         if kind == DEVICE:
             port.setdefault(device, place)  # a second one sees a voltage only
-    rows = {"device_q": port} | dict.fromkeys((k for k in KINDS if k.startswith("line_")), row)
+    rows = {"device_q": port, "device_p": port} | dict.fromkeys(
+        (k for k in KINDS if k.startswith("line_")), row
+    )
     of = [rows[s.kind][s.of] if s.kind in rows else s.of for s in shown]
     return {
         "tie.branch": np.array([*tie, *lines], dtype=np.int32),
@@ -160,10 +162,11 @@ def _of_tie(case: Case) -> Iterator[Shown]:
 
 def _of_svcs(case: Case) -> Iterator[Shown]:
     network = tuple(sorted(network_states(case)))
-    for k, svc in enumerate(case.svcs):
-        yield _output(
-            f"{svc.name}.q", "reactive power into the network, base of the case", network, "device_q", k
-        )
+    for k, row in enumerate(case.at_buses):
+        text = "power into the network, base of the case"
+        yield _output(f"{row.name}.q", f"reactive {text}", network, "device_q", k)
+        if k >= len(case.svcs):
+            yield _output(f"{row.name}.p", f"active {text}", network, "device_p", k)
 
 
 def _of_branches(case: Case) -> Iterator[Shown]:

@@ -77,13 +77,18 @@ def state_variables(point: OperatingPoint) -> list[Variable]:
 
 
 def input_variables(point: OperatingPoint) -> list[Variable]:
-    """Return the inputs, one for each exciter and each device at a bus."""
-    words = {name: f"added to the voltage set-point of {name[:-6]}" for name in point.input_names}
+    """Return the inputs, one for each exciter and each SVC or STATCOM, two for each converter."""
+    of = {"v_mod": "the voltage set-point", "p_mod": "the active power", "q_mod": "the reactive reference"}
+    words = {
+        name: f"added to {of[name[-5:]]} of {name[:-6]}, pu of its base"
+        for name in point.input_names
+        if name[-5:] in of
+    }
     return [
         Variable(
             name,
             "input",
-            words[name] if name.endswith("_v_mod") else "added at the exciter's summing point",
+            words.get(name, "added at the exciter's summing point"),
             unit="pu",
             start=0.0,
         )

@@ -15,7 +15,7 @@ if TYPE_CHECKING:  # names are looked up in an `outline` too, before pydantic's 
 
 def check_whole(case: CaseTables) -> None:
     """Check ids, references, slack and connection of `case`; ValueError with one line otherwise."""
-    for table in ("buses", "branches", "shunts", "loads", "machines", "svcs"):
+    for table in ("buses", "branches", "shunts", "loads", "machines", "svcs", "converters"):
         ids = [str(row.number if table == "buses" else row.name) for row in getattr(case, table)]
         twice = [key for key, count in Counter(ids).items() if count > 1]
         if twice:
@@ -39,7 +39,7 @@ def _check_references(case: CaseTables) -> None:
             _bus(number, f"branches.{branch.name}.{key}", known)
         if branch.from_bus == branch.to_bus:
             raise ValueError(f"branches.{branch.name}: from = to = {branch.to_bus}, allowed: two buses")
-    for table in ("shunts", "loads", "machines", "svcs"):
+    for table in ("shunts", "loads", "machines", "svcs", "converters"):
         for row in getattr(case, table):
             _bus(row.bus, f"{table}.{row.name}.bus", known)
     for svc in case.svcs:
@@ -76,6 +76,12 @@ def _check_voltages(case: CaseTables) -> None:
 def _check_svcs(case: CaseTables) -> None:
     machines = {m.name: m.bus for m in case.machines}
     held: dict[int, Any] = {}
+    svcs = {svc.name for svc in case.svcs}
+    for row in case.converters:
+        if row.name in machines or row.name in svcs:
+            raise ValueError(
+                f"converters.{row.name}: a machine or an SVC has that name too, allowed: another name"
+            )
     for svc in case.svcs:
         if svc.name in machines:
             raise ValueError(f"svcs.{svc.name}: a machine has that name too, allowed: another name")
@@ -190,7 +196,7 @@ def target_index(case: CaseTables, event: Any) -> int:
             )
         return numbers.index(event.bus)
     table = next(t for t in ("branch", "machine", "load", "shunt", "device") if hasattr(event, t))
-    tables = {"branch": "branches", "device": "svcs"}
+    tables = {"branch": "branches", "device": "at_buses"}
     names = [row.name for row in getattr(case, tables.get(table, f"{table}s"))]
     name = getattr(event, table)
     if name not in names:

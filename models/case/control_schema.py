@@ -8,7 +8,7 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator, ConfigDict, Field, ValidationInfo
 from pydantic_core import PydanticCustomError
 
-from ..devices.language.device import AT_BUS
+from ..devices.language.device import OF_SVC
 from ..devices.language.structure import Model
 from ..devices.library import NONE, device_model
 from ..devices.rows import numbers_of, row_of
@@ -77,7 +77,7 @@ def _control(word: str, kind: str | None) -> Any:
         try:
             if not isinstance(chosen, str):
                 raise DeviceError(f"{word} {chosen!r} does not exist")
-            kinds = AT_BUS if word in AT_BUS else word
+            kinds = OF_SVC if word in OF_SVC else word
             return rest | row_of(device_model(chosen, kinds, info.context or NONE).device, provided)
         except DeviceError as error:
             text = str(error)
@@ -92,4 +92,5 @@ Governor = Annotated[Control, _control("governor", None)]
 Stabilizer = Annotated[Control, _control("stabilizer", "speed")]
 #: of a device at a bus
 BusControl = Annotated[Control, _control("svc", None)]
+ConverterControl = Annotated[Control, _control("converter", None)]
 Compensator = Annotated[Control, _control("compensator", None)]

@@ -15,7 +15,9 @@ from ..errors import CaseError, nearest, reason
 from ..files import read_text, toml_files
 
 #: table in the file -> field that holds the row's key
-ROW_TABLES = {"buses": "number"} | dict.fromkeys(("branches", "shunts", "loads", "machines", "svcs"), "name")
+ROW_TABLES = {"buses": "number"} | dict.fromkeys(
+    ("branches", "shunts", "loads", "machines", "svcs", "converters"), "name"
+)
 RESERVED = ("source", "defaults")  #: keys of a table of rows that are not ids
 REMOVED = "none"  #: what stands in place of a row, a stabilizer, a tie that is taken out
 BUNDLED = Path(__file__).resolve().parents[1] / "cases"  #: folder of the cases that come with the package

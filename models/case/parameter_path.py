@@ -12,7 +12,7 @@ from pydantic import BaseModel
 from ..errors import nearest
 from .case import Case, CaseError
 
-_TABLES = ("buses", "branches", "shunts", "loads", "machines", "svcs")
+_TABLES = ("buses", "branches", "shunts", "loads", "machines", "svcs", "converters")
 _REDISPATCH = "redispatch"
 _REDISPATCH_STEP_MW = 1.0
 

@@ -17,6 +17,7 @@ from .control_schema import (
     BusControl,
     Compensator,
     Control,
+    ConverterControl,
     Exciter,
     Governor,
     NonNegative,
@@ -344,6 +345,31 @@ class Svc(Row):
     def seen_bus(self) -> int:
         """Number of the bus whose voltage it regulates."""
         return self.bus if self.regulates is None else self.regulates
+
+
+class Converter(Row):
+    """A converter plant, such as solar or wind: P and Q at a bus that its control moves.
+
+    In the power flow it gives `P_mw` and `Q_mvar`; the control rests at the currents that these ask for, per
+    unit on `base_mva`, which is that of all its parameters.
+    """
+
+    name: Annotated[str, Field(strict=True, max_length=64, pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]  #: its id
+    bus: BusNumber  #: number of its bus
+    base_mva: Positive  #: base of its per-unit values
+    P_mw: Number  #: into the network
+    Q_mvar: Number = 0.0  #: into the network
+    control: ConverterControl  #: device and its values
+
+    @property
+    def V_pu(self) -> None:
+        """None: the power flow lets its voltage free, other than at an SVC."""
+        return None
+
+    @property
+    def seen_bus(self) -> int:
+        """Number of the bus whose voltage it sees."""
+        return self.bus
 
 
 class Tie(Row):

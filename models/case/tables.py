@@ -16,7 +16,7 @@ from ..errors import CaseError, nearest
 from ..table import Table, Title
 from .control_schema import BARE, Positive
 from .events import Event
-from .schema import Branch, Bus, Load, Machine, Shunt, Svc, Tie
+from .schema import Branch, Bus, Converter, Load, Machine, Shunt, Svc, Tie
 
 Named = TypeVar("Named", Branch, Load, Machine, Shunt)
 
@@ -46,6 +46,7 @@ class CaseTables(Table):
     loads: tuple[Load, ...] = ()  #: by name
     machines: Annotated[tuple[Machine, ...], Field(min_length=1)]  #: by name
     svcs: tuple[Svc, ...] = ()  #: static var compensators and STATCOMs by name
+    converters: tuple[Converter, ...] = ()  #: converter plants by name
     tie: Tie | None = None  #: the cut whose flow operating points move
     events: tuple[Event, ...] = Field(
         default=(), alias="event"
@@ -62,9 +63,14 @@ class CaseTables(Table):
         return {m.name: m.area for m in self.machines}
 
     @property
+    def at_buses(self) -> tuple[Svc | Converter, ...]:
+        """Devices at buses: SVCs, then converters."""
+        return (*self.svcs, *self.converters)
+
+    @property
     def places(self) -> tuple[str, ...]:
         """Names of the machines, then of the devices at buses: where devices have their signals."""
-        return (*(m.name for m in self.machines), *(s.name for s in self.svcs))
+        return (*(m.name for m in self.machines), *(d.name for d in self.at_buses))
 
     @property
     def slack(self) -> Machine:
@@ -86,7 +92,7 @@ class CaseTables(Table):
         """Keys of the devices that machines and buses have."""
         controls = ((word, getattr(m, word)) for m in self.machines for word in OF_MACHINE)
         of_machines = {c.kind for word, c in controls if c is not None and c.kind != BARE.get(word)}
-        return of_machines | {s.control.kind for s in self.svcs}
+        return of_machines | {d.control.kind for d in self.at_buses}
 
     def machine(self, name: str) -> Machine:
         """Return machine `name`; CaseError with the nearest names when there is none."""

@@ -43,7 +43,8 @@ OPTIONS = {
     "rate_min=a, rate_max=b": "of a lag: bounds of its rate, 1/s",
     "add=u": "of a pi: added inside its limits, such as a derivative part",
     "feedback=g": "of a pi: g times its output is taken off its input",
-    "rest=value": "of a lag or integrator: where it rests when nothing else says so",
+    "rest=value": "of a lag, integrator or pi: where it rests when nothing else says so",
+    "freeze=flag": "of a lag, integrator or pi: its state stands while this is 1",
 }
 
 

@@ -207,7 +207,7 @@ class Writer(ExpressionWriter):
                 *self.branch(order.no, decided | {order.bit: False}, depth + 1),
                 f"{pad}}}",
             ]
-        output = self.device.output
+        output, *also = self.device.outputs  # the network takes the latter from their states
         if order.loop:  # refused when the case is read
             return [f"{pad}TO(in->{output}, m, NUM(NAN));"]
         self.on = self.model.on(decided)
@@ -215,7 +215,7 @@ class Writer(ExpressionWriter):
         rows: list[str] = []
         for name in order.lines:
             rows += self.output_of(self.model.elements[name])
-        rows.append(f"TO(in->{output}, m, s_{output});")
+        rows += [f"TO(in->{output}, m, s_{output});", *(f"(void)s_{name};" for name in also)]
         for element in self.model.elements.values():
             rows += self.rates_of(element)
         self.most = max(self.most, self.decisions)
@@ -282,12 +282,18 @@ class Writer(ExpressionWriter):
         u = self.times(e.K, e.u)
         if low is None and high is None:
             if not e.is_limited:
-                return f"({u} - x_{x}) * {per}"
-            return f"limiter_lag_rate(&l, {self.first[name]}u, {u}, x_{x}, low_{name}, high_{name}) * {per}"
+                return self.standing(e, f"({u} - x_{x}) * {per}")
+            call = f"limiter_lag_rate(&l, {self.first[name]}u, {u}, x_{x}, low_{name}, high_{name})"
+            return self.standing(e, f"{call} * {per}")
         slowest = self.num(number(-1e30) if low is None else low)
         fastest = self.num(number(1e30) if high is None else high)
         rate = f"{self.deciding('clamp', 2)}({u} - x_{x}) * {per}, {slowest}, {fastest})"
-        return self.held(e, rate, x, per)
+        return self.held(e, self.standing(e, rate), x, per)
+
+    def standing(self, e: Element, rate: str) -> str:
+        """C of a rate with the option freeze."""
+        freeze = e.line.option("freeze")
+        return rate if freeze is None else f"{rate} * (1.0 - {self.num(freeze)})"
 
     def held(self, e: Element, rate: str, x: str, per: str) -> str:
         name = e.line.name
@@ -304,7 +310,7 @@ class Writer(ExpressionWriter):
         per: Node = ONE if T == ONE else Node("/", (ONE, T))
         gain = per if e.K == ONE else Node("*", (e.K, per))
         rate = self.num(e.u) if gain == ONE else f"{self.constant(gain)} * {self.num(e.u)}"
-        return self.held(e, rate, x, self.real(per))
+        return self.held(e, self.standing(e, rate), x, self.real(per))
 
     def real(self, node: Node) -> str:
         """C of a constant as a `real`, which a literal is not in lanes."""
@@ -351,7 +357,7 @@ class Writer(ExpressionWriter):
         error = self.num(e.u)
         if feedback != ZERO:
             error = f"({error} - {self.num(feedback)} * s_{name})"
-        rate = f"{self.constant(e.args[2])} * {error}"
+        rate = self.standing(e, f"{self.constant(e.args[2])} * {error}")
         if not e.is_limited:
             return rate
         call = f"limiter_pi_rate(&l, {self.first[name] + 2}u, "

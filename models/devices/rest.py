@@ -93,7 +93,7 @@ class _Walk:
         self.equations: list[Equation] = []
         for name, element in model.elements.items():
             start = element.line.option("rest")
-            if start is not None:
+            if start is not None and any(instance.on(s.present) for s in element.states()):
                 self.equations.append(Equation(Node("name", name=name), start, name))
             elif isinstance(element, Plain):
                 self.equations.append(Equation(Node("name", name=name), element.u, name))

@@ -40,6 +40,9 @@ def losses_of_network(case: Case) -> list[str]:
     curved = [q.name for q in case.loads if q.P_zip or q.Q_zip or (q.P_exponent, q.Q_exponent) != (2.0, 2.0)]
     if curved:
         losses.append(f"how loads follow the voltage ({named(curved)})")
+    if case.at_buses:
+        names = named(d.name for d in case.at_buses)
+        losses.append(f"SVCs, STATCOMs and converters with their power ({names})")
     if case.tie is not None:
         losses.append("the tie")
     if case.events:

@@ -16,7 +16,7 @@ from ..devices.language.expression import Node
 from ..devices.language.structure import Model
 from ..devices.rest import BEYOND, RestPoint, rest_of
 from ..errors import DeviceError
-from .coupling import BusPoint, Coupling, coupling_of, svc_model
+from .coupling import BusPoint, Coupling, coupling_of, model_at_bus
 from .machine_tables import NETWORK, MachinePoint, State
 
 SHORTEST_S = 1e-6  #: least value a time constant may be set to
@@ -70,7 +70,12 @@ class Device:
         return [self.rest.instance.values[row] for row in given_rows(self.rest.instance.model)]
 
     def parameters(self) -> Iterator[Parameter]:
-        """What a user may change: what is in use and decides no structure."""
+        """What a user may change: what is in use and decides no structure; of a converter nothing.
+
+        A converter has several set-points, of which the plant would find only one anew.
+        """
+        if self.word == "converter":
+            return
         instance = self.rest.instance
         device, used = instance.model.device, instance.used() - self._coupling_names()
         for row, p in enumerate(device.parameters):
@@ -141,6 +146,15 @@ class Group:
 
 
 @dataclass(frozen=True)
+class Given:
+    """An input of the plant: its name, and the place that it acts on; that many more than there are: on the
+    reactive reference."""
+
+    name: str
+    place: int
+
+
+@dataclass(frozen=True)
 class Controls:
     """All controls of a case at rest."""
 
@@ -153,9 +167,18 @@ class Controls:
         return tuple(d for d in self.devices if d.word == word)
 
     @property
-    def inputs(self) -> tuple[Device, ...]:
-        """The devices that take a signal from outside, in the order of the inputs."""
-        return tuple(d for d in self.devices if d.word == "exciter" or d.word in AT_BUS)
+    def inputs(self) -> tuple[Given, ...]:
+        """The signals from outside, in the order of the inputs."""
+        places = self.seen.shape[1]
+        result: list[Given] = []
+        for d in self.devices:
+            if d.word == "exciter":
+                result.append(Given(f"{d.prefix.removesuffix('.exciter')}_vs", d.place))
+            elif d.word == "converter":
+                result += [Given(f"{d.prefix}_p_mod", d.place), Given(f"{d.prefix}_q_mod", places + d.place)]
+            elif d.word in AT_BUS:
+                result.append(Given(f"{d.prefix}_v_mod", d.place))
+        return tuple(result)
 
     @property
     def at_buses(self) -> tuple[Device, ...]:
@@ -183,11 +206,6 @@ class Controls:
         )
 
 
-def input_name(case: Case, device: Device) -> str:
-    """Return the name of the plant's input that a device takes: `G1_vs`, or `svc1_v_mod` at a bus."""
-    return f"{device.prefix}_v_mod" if device.word in AT_BUS else f"{case.machines[device.place].name}_vs"
-
-
 def controls_at_rest(
     case: Case, points: tuple[MachinePoint, ...], buses: tuple[BusPoint, ...] = ()
 ) -> Controls:
@@ -203,7 +221,13 @@ def controls_at_rest(
         raise StartError(unrest)
     devices: list[Device] = []
     inputs = [_reach(case, k) for k in range(len(points))]
-    inputs += [{"vt": frozenset({NETWORK}), "vs": frozenset({f"{s.name}_v_mod"})} for s in case.svcs]
+    network = frozenset({NETWORK})
+    inputs += [{"vt": network, "vs": frozenset({f"{s.name}_v_mod"})} for s in case.svcs]
+    inputs += [
+        dict.fromkeys(("vt", "p", "q"), network)
+        | {key: frozenset({f"{c.name}_{key}"}) for key in ("p_mod", "q_mod")}
+        for c in case.converters
+    ]
     for k, word, rest in starts:
         assert isinstance(rest, RestPoint)
         device = _device(row_name(case, k, word), k, word, rest, inputs[k])
@@ -223,7 +247,9 @@ def controls_at_rest(
 def row_name(case: Case, place: int, word: str) -> str:
     """Return the name of a control: `G1.exciter`, or that of the device at a bus."""
     machines = len(case.machines)
-    return f"{case.machines[place].name}.{word}" if word in OF_MACHINE else case.svcs[place - machines].name
+    return (
+        f"{case.machines[place].name}.{word}" if word in OF_MACHINE else case.at_buses[place - machines].name
+    )
 
 
 def rests_of(
@@ -248,14 +274,18 @@ def rests_of(
             rests.append((k, word, rest))
             if isinstance(rest, RestPoint):
                 seen[SEEN.index(KINDS[word].output), k] = row[KINDS[word].output] = rest.output
-    for k, (svc, bus) in enumerate(zip(case.svcs, buses, strict=True), start=len(points)):
-        model = svc_model(svc, own)
-        output = bus.output(model.device.kind, svc.base_mva / case.base_mva)
-        who, given = f"{case.name}: svcs.{svc.name}.control", {"vt": bus.seen, "vs": 0.0}
-        numbers = control_numbers(model, svc.control, svc.base_mva)
-        rest = _rest_of(model, numbers, given, output, who, svc.name, "control", room)
-        rests.append((k, model.device.kind, rest))
-        for key, value in {"vt": bus.seen, "out": output}.items():
+    for k, (row_at, bus) in enumerate(zip(case.at_buses, buses, strict=True), start=len(points)):
+        model = model_at_bus(row_at, own)
+        kind, share = model.device.kind, row_at.base_mva / case.base_mva
+        output, given = bus.output(kind, share), bus.given(kind, share)
+        who = f"{case.name}: {'converters' if kind == 'converter' else 'svcs'}.{row_at.name}.control"
+        numbers = control_numbers(model, row_at.control, row_at.base_mva)
+        rest = _rest_of(model, numbers, given, output, who, row_at.name, "control", room)
+        rests.append((k, kind, rest))
+        at = {"vt": bus.seen, "out": output}
+        if kind == "converter":  # where plant/flow/flow.h has them
+            at |= {"pe": given["p"], "ifd": given["q"]}
+        for key, value in at.items():
             seen[SEEN.index(key), k] = value
     return seen, rests
 

@@ -13,16 +13,16 @@ import numpy as np
 import numpy.typing as npt
 
 from ..case.case import Case
-from ..case.schema import Svc
+from ..case.schema import Converter, Svc
 from ..devices.instance import Instance
-from ..devices.language.device import AT_BUS, Device
+from ..devices.language.device import KINDS, OF_SVC, Device
 from ..devices.language.expression import evaluate
 from ..devices.language.structure import Model
 from ..devices.library import device_model
 from ..errors import DeviceError
 
-NOTHING, SUSCEPTANCE, CURRENT = 0, 1, 2  #: CouplingKind
-COUPLINGS = {"svc": SUSCEPTANCE, "statcom": CURRENT}
+NOTHING, SUSCEPTANCE, CURRENT, CONVERTER = 0, 1, 2, 3  #: CouplingKind
+COUPLINGS = {"svc": SUSCEPTANCE, "statcom": CURRENT, "converter": CONVERTER}
 LOW_PU = 0.1  #: below, a current falls with the voltage: one that holds at zero volts has no solution
 _STATES = ("lag", "integrator")  #: elements whose output is a state
 
@@ -34,10 +34,19 @@ class BusPoint:
     seen: float
     own: float
     q: float  #: reactive power into the network, base of the case
+    p: float = 0.0  #: active power into the network, base of the case
 
     def output(self, kind: str, share: float) -> float:
         """Return what the device gives, pu of its base; `share`: its base over that of the case."""
-        return self.q / self.own ** (2 if COUPLINGS[kind] == SUSCEPTANCE else 1) / share
+        power = self.p if kind == "converter" else self.q
+        return power / self.own ** (2 if COUPLINGS[kind] == SUSCEPTANCE else 1) / share
+
+    def given(self, kind: str, share: float) -> dict[str, float]:
+        """Return what the device sees, of a converter also its reactive current."""
+        if kind != "converter":
+            return {"vt": self.seen, "vs": 0.0}
+        p, q = self.p / share, self.q / share
+        return {"vt": self.seen, "p": p, "q": q, "p_mod": 0.0, "q_mod": 0.0, "iq": q / self.own}
 
 
 @dataclass(frozen=True)
@@ -47,11 +56,34 @@ class Coupling:
     state: str
     scale: float
     bias: float
+    second: str = ""  #: state of the reactive current of a converter
+    gain: tuple[float, float] = (-2.0, -1.0)  #: voltages between which its active current rises from 0
+    taken: tuple[float, float, float] = (1e3, 0.0, -1e3)  #: voltage above which, how much, not below
 
 
-def svc_model(svc: Svc, own: Mapping[str, Model]) -> Model:
+def model_at_bus(row: Svc | Converter, own: Mapping[str, Model]) -> Model:
     """Return the device of a row; DeviceError where there is none of that name."""
-    return device_model(svc.control.kind, AT_BUS, own)
+    return device_model(row.control.kind, OF_SVC if isinstance(row, Svc) else "converter", own)
+
+
+def coupled_states(device: Device) -> tuple[str, ...]:
+    """Return the names of the states that set the current.
+
+    Raises
+    ------
+    DeviceError : as `coupled_state`, or an output of a converter that is no state.
+    """
+    lines = {line.name: line for line in device.lines}
+    also = KINDS[device.kind].also
+    if not also:
+        return (coupled_state(device),)
+    for name in device.outputs:
+        if lines[name].element not in _STATES:
+            raise DeviceError(
+                f"{device.file}: {name} = {lines[name].node} sets a current into the network, allowed: a lag "
+                "or an integrator; put a lag behind it"
+            )
+    return device.outputs
 
 
 def coupled_state(device: Device) -> str:
@@ -86,11 +118,15 @@ def coupling_of(instance: Instance) -> Coupling:
     DeviceError : as `coupled_state`, or a lag without time.
     """
     device = instance.model.device
-    state = coupled_state(device)
-    if state not in instance.state_names:
-        raise DeviceError(
-            f"{device.name}: {state} is a lag without time, but sets a current; give it a time above 0"
-        )
+    states = coupled_states(device)
+    state = states[0]
+    for name in states:
+        if name not in instance.state_names:
+            raise DeviceError(
+                f"{device.name}: {name} is a lag without time, but sets a current; give it a time above 0"
+            )
+    if len(states) > 1:
+        return Coupling(state, 1.0, 0.0, states[1], *_port_numbers(instance))
     if state == device.output:
         return Coupling(state, 1.0, 0.0)
     node = next(line.node for line in device.lines if line.name == device.output)
@@ -98,38 +134,59 @@ def coupling_of(instance: Instance) -> Coupling:
     return Coupling(state, float(evaluate(node, instance.values | {state: 1.0})) - bias, bias)
 
 
+def _port_numbers(instance: Instance) -> tuple[tuple[float, float], tuple[float, float, float]]:
+    """Voltages of the gain of the active current; voltage, gain and least value of the reactive one."""
+    at, no = instance.values, Coupling("", 1.0, 0.0)
+    gain = (at["Lvpnt0"], at["Lvpnt1"]) if {"Lvpnt0", "Lvpnt1"} <= at.keys() else no.gain
+    taken = no.taken
+    if {"Volim", "Khv"} <= at.keys() and at["Khv"] > 0.0:
+        taken = (at["Volim"], at["Khv"], at.get("Iolim", taken[2]))
+    return gain, taken
+
+
 def device_port_buses(case: Case) -> list[int]:
     """Return the number of the bus of each port of `device_ports`, in its order."""
-    return [bus for svc in case.svcs for bus in dict.fromkeys((svc.bus, svc.seen_bus))]
+    return [bus for svc in case.at_buses for bus in dict.fromkeys((svc.bus, svc.seen_bus))]
 
 
 def device_ports(
-    case: Case, couplings: list[tuple[str, Coupling]], state_names: tuple[str, ...], outputs: list[float]
+    case: Case,
+    couplings: list[tuple[str, Coupling]],
+    state_names: tuple[str, ...],
+    signals: list[Mapping[str, float]],
 ) -> list[list[float]]:
     """Return the rows of the ports of devices at buses, without the kind of port.
 
-    couplings : kind and coupling of each; outputs : of each at rest, pu of its base. A device that sees
+    couplings : kind and coupling of each; signals : of each at rest, pu of its base. A device that sees
     another bus than its own has a second port there, which injects nothing.
     """
     index = {bus.number: k for k, bus in enumerate(case.buses)}
     rows: list[list[float]] = []
-    for k, (svc, (kind, c), output) in enumerate(zip(case.svcs, couplings, outputs, strict=True)):
+    for k, (svc, (kind, c), at_rest) in enumerate(zip(case.at_buses, couplings, signals, strict=True)):
         share, here = svc.base_mva / case.base_mva, svc.seen_bus == svc.bus
         state = state_names.index(f"{svc.name}.{c.state}")
-        row = [state, share * c.scale, share * c.bias, COUPLINGS[kind], share * output]
+        output = share * at_rest[KINDS[kind].output]
+        row = [state, share * c.scale, share * c.bias, COUPLINGS[kind], output]
         rows.append([k, 1.0, index[svc.bus], *row, (k + 1.0) * here, LOW_PU])
+        if c.second:
+            level, slope, least = c.taken
+            rows[-1] += [state_names.index(f"{svc.name}.{c.second}"), share * at_rest[c.second]]
+            rows[-1] += [*c.gain, level, share * slope, share * least]
         if not here:
             rows.append([k, 1.0, index[svc.seen_bus], state, 0.0, 0.0, NOTHING, 0.0, k + 1.0, LOW_PU])
     return rows
 
 
 def bus_points(
-    case: Case, q: npt.NDArray[np.float64], voltages: npt.NDArray[np.complex128]
+    case: Case, power: npt.NDArray[np.complex128], voltages: npt.NDArray[np.complex128]
 ) -> tuple[BusPoint, ...]:
-    """Return the devices at buses at rest. q : (svcs,) into the network, pu; voltages : (buses,)."""
+    """Return the devices at buses at rest.
+
+    power : P + jQ of each into the network, pu; voltages : (buses,).
+    """
     index = {bus.number: k for k, bus in enumerate(case.buses)}
     size = np.abs(voltages)
     return tuple(
-        BusPoint(float(size[index[s.seen_bus]]), float(size[index[s.bus]]), float(q[k]))
-        for k, s in enumerate(case.svcs)
+        BusPoint(float(size[index[s.seen_bus]]), float(size[index[s.bus]]), float(s_k.imag), float(s_k.real))
+        for s, s_k in zip(case.at_buses, power, strict=True)
     )

@@ -14,7 +14,7 @@ from ..case.case import Case, CaseError
 from ..case.checks import require_dynamics
 from ..case.schema import Machine
 from .bus_devices import AirGap, air_gap, has_port, port_loads, saturation_factor, saturation_of
-from .control_tables import Controls, controls_at_rest, input_name
+from .control_tables import Controls, controls_at_rest
 from .coupling import BusPoint, bus_points
 from .machine_tables import NETWORK, MachinePoint, State
 from .network import bus_index, load_power, machine_bus_index, machine_norton_admittance, sparse_admittance
@@ -49,8 +49,8 @@ class OperatingPoint:
 
     @property
     def input_names(self) -> tuple[str, ...]:
-        """Names of the inputs: one per exciter, then one per device at a bus."""
-        return tuple(input_name(self.case, device) for device in self.controls.inputs)
+        """Names of the inputs: one per exciter, then one per SVC or STATCOM, two per converter."""
+        return tuple(given.name for given in self.controls.inputs)
 
 
 def operating_point(case: Case, power_flow: PowerFlow | None = None) -> OperatingPoint:
@@ -124,7 +124,7 @@ def machine_points(
             gap = air_gap(m, terminal, i, float(delta[k]))
         points.append(_machine_point(m, float(delta[k]), complex(emf[k]), i, gap))
         gaps.append(gap)
-    return tuple(points), load_volts, tuple(gaps), bus_points(case, power_flow.svc_q, solved)
+    return tuple(points), load_volts, tuple(gaps), bus_points(case, power_flow.at_buses, solved)
 
 
 def rotor_angle(m: Machine, voltage: complex, current: complex) -> float:
@@ -152,11 +152,11 @@ def _network(
     draw it at the voltages found, or the port would not be at rest: their volts are found by repetition.
     """
     index, loads = bus_index(case), len(case.loads)
-    at = np.array([index[q.bus] for q in case.loads] + [index[s.bus] for s in case.svcs], dtype=np.int64)
+    at = np.array([index[q.bus] for q in case.loads] + [index[s.bus] for s in case.at_buses], dtype=np.int64)
     volts = np.abs(power_flow.voltages[at])
     ports = [*port_loads(case), *range(loads, len(at))]
     drawn = [load_power(case, load) if load.in_service else 0j for load in case.loads]
-    solve = _linear_network(case, emf, at, np.array([*drawn, *(-1j * power_flow.svc_q)], dtype=complex))
+    solve = _linear_network(case, emf, at, np.array([*drawn, *(-power_flow.at_buses)], dtype=complex))
     for _ in range(_REPETITIONS if ports else 1):
         voltages, current = solve(volts)
         moved = float(np.max(np.abs(np.abs(voltages[at[ports]]) - volts[ports]), initial=0.0))

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from ..case.case import Case
 from ..case.schema import Machine
-from .coupling import coupled_state, svc_model
+from .coupling import coupled_states, model_at_bus
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,11 @@ def _number(m: Machine, key: str) -> float:
 def network_states(case: Case) -> frozenset[str]:
     """Return the states that fix every current and voltage of the network."""
     own = case.own_devices
-    at_buses = frozenset(f"{s.name}.{coupled_state(svc_model(s, own).device)}" for s in case.svcs)
+    at_buses = frozenset(
+        f"{row.name}.{state}"
+        for row in case.at_buses
+        for state in coupled_states(model_at_bus(row, own).device)
+    )
     return at_buses | frozenset(f"{m.name}.{key}" for m in case.machines for key in NETWORK_KEYS[m.model])
 
 

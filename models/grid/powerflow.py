@@ -35,7 +35,7 @@ class PowerFlow:
     voltages: ComplexArray  #: (buses,)
     injections: ComplexArray  #: (buses,) generation less load, shunts belong to the network
     generation: ComplexArray  #: (machines,) P + jQ of each machine
-    svc_q: npt.NDArray[np.float64]  #: (svcs,) reactive power of each into the network
+    at_buses: ComplexArray  #: (devices at buses,) P + jQ of each into the network
     iterations: int
     mismatch_pu: float  #: largest |P| or |Q| mismatch left
 
@@ -141,6 +141,8 @@ def _load_at_buses(case: Case) -> ComplexArray:
     for svc in case.svcs:
         if svc.V_pu is None:
             load[index[svc.bus]] -= 1j * svc.Q_mvar / case.base_mva
+    for plant in case.converters:
+        load[index[plant.bus]] -= complex(plant.P_mw, plant.Q_mvar) / case.base_mva
     return load
 
 
@@ -180,10 +182,11 @@ def _solved(case: Case, best: Iterate, load: ComplexArray, slack: npt.NDArray[np
     scheduled = np.zeros(len(V))
     np.add.at(scheduled, machine_bus, generation.real)
     generation[own] += at_bus[slack].real - scheduled[slack]
-    svc_q = _svc_q(case, at_bus.imag)
-    for array in (V, injections, generation, svc_q):
+    given = np.array([complex(c.P_mw, c.Q_mvar) / case.base_mva for c in case.converters], dtype=complex)
+    at_buses = np.concatenate([1j * _svc_q(case, at_bus.imag), given])
+    for array in (V, injections, generation, at_buses):
         array.flags.writeable = False
-    return PowerFlow(case, V, injections, generation, svc_q, best.iteration, best.mismatch_pu)
+    return PowerFlow(case, V, injections, generation, at_buses, best.iteration, best.mismatch_pu)
 
 
 def _svc_q(case: Case, at_bus: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

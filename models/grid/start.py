@@ -128,7 +128,8 @@ def release_limits(case: Case, power_flow: PowerFlow | None = None) -> tuple[Cas
             if (k, word) in resting:  # at a limit that no parameter moves it stays
                 continue
             new = released(item.model, item.numbers, item.seen, item.output, item.who)
-        table = "svcs" if item.word == "control" else "machines"
+        of = {"converter": "converters", "svc": "svcs", "statcom": "svcs"}
+        table = of.get(item.model.device.kind, "machines")
         change.setdefault(table, {}).setdefault(item.row, {})[item.word] = new
         for name, value in new.items():
             messages.append(f"{item.row}.{item.word}.{name}: {item.numbers[name]:g} -> {value:.6g}")

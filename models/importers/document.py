@@ -6,7 +6,7 @@ import cmath
 import math
 import re
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -58,11 +58,13 @@ def document_of(
     name: str,
     exponents: tuple[float, float],
     constant: Mapping[int, float] | None = None,
+    converters: Collection[int] = (),
 ) -> dict[str, Any]:
     """Return the document of the case of `grid` at `solution`; machines are without dynamic data.
 
     exponents : how P and Q of loads follow the voltage where the file does not say. constant : number of a
-    unit -> exponent, for those that are no machine but an injection.
+    unit -> exponent, for those that are no machine but an injection. converters : numbers of units that are
+    converters, whose controls are not given here.
     """
     constant = constant or {}
     volts = dict(solution.voltages)
@@ -81,6 +83,7 @@ def document_of(
     names = unit_names(grid)
     machines: dict[str, Any] = {}
     injections: dict[str, Any] = {}
+    plants: dict[str, Any] = {}
     for k, (unit, power) in enumerate(units):
         if k in constant:
             injections[names[k]] = {
@@ -89,6 +92,13 @@ def document_of(
                 "Q_mvar": -power.imag,
                 "P_exponent": constant[k],
                 "Q_exponent": constant[k],
+            }
+        elif k in converters:
+            plants[names[k]] = {
+                "bus": unit.bus,
+                "base_mva": unit.base,
+                "P_mw": power.real,
+                "Q_mvar": power.imag,
             }
         else:
             machines[names[k]] = _machine(grid, unit, power, abs(volts[unit.bus]))
@@ -103,6 +113,7 @@ def document_of(
         "shunts": _shunts(grid),
         "loads": _loads(grid, solution, exponents) | injections,
         "machines": machines,
+        **({"converters": plants} if plants else {}),
     }
 
 

@@ -33,6 +33,9 @@ CONVERTERS = frozenset(
     ["REGCA1", "REGCB1", "REGCC1", "GDFORM", "WT1G1", "WT2G1", "WT3G1", "WT3G2", "WT4G1", "WT4G2", "PVGU1"]
 )
 
+CONVERTER = "converter"  #: kind of the devices of these
+_CURRENTS = "; --converters current takes converters as constant currents"
+
 #: models that only trip or measure
 RELAYS = frozenset(
     {
@@ -59,12 +62,14 @@ class Dynamics:
     """What a DYR file says of the units of a grid.
 
     rows : name of a machine -> keys to merge into its row. where : name -> file:line of its machine model.
-    constant : name of a unit without machine model -> exponent of its injection.
+    constant : name of a unit without machine model -> exponent of its injection. converters : name of a unit
+    that is a converter -> its control.
     """
 
     rows: dict[str, dict[str, Any]]
     where: dict[str, str]
     constant: dict[str, float]
+    converters: dict[str, dict[str, Any]] = dataclasses.field(default_factory=dict)
 
 
 def read_dynamics(path: Path, own: Mapping[str, Model] = NONE) -> DyrFile:
@@ -126,9 +131,9 @@ def machine_dynamics(
     """Return the dynamic data of a DYR file.
 
     machine_of : (bus, id) -> name of a unit in service. out : units out of service, whose records are
-    counted and passed over. A unit without a machine model is constant P and Q and a converter is refused,
-    or, if `converters_as_current`, both are constant currents. own : devices of the user's own, whose records
-    come before those of the package's.
+    counted and passed over. A unit without a machine model is constant P and Q and a converter what its
+    records say, or, if `converters_as_current`, both are constant currents. own : devices of one's own, whose
+    records come before those of the package's.
 
     Raises
     ------
@@ -149,10 +154,13 @@ def machine_dynamics(
         name = units.concerned(record, out, records)
         if name is not None:
             units.take(name, record, *_row(record, own, records, report))
+    units.check_converters()
     units.take_the_rest(1.0 if converters_as_current else 0.0)
-    rows = {name: row for name, row in units.rows.items() if name not in units.constant}
+    converters = {name: row[CONVERTER] for name, row in units.rows.items() if CONVERTER in row}
+    machines = units.rows.keys() - units.constant.keys() - converters.keys()
+    rows = {name: row for name, row in units.rows.items() if name in machines}
     report.lines += _without_controls(rows)
-    return Dynamics(rows, units.where, units.constant)
+    return Dynamics(rows, units.where, units.constant, converters)
 
 
 class _Units:
@@ -196,16 +204,36 @@ class _Units:
 
     def take(self, name: str, record: DyrRecord, kind: str, row: Mapping[str, Any]) -> None:
         """Give the unit `name` the keys that its record makes."""
-        if (name, kind) in self.seen:
-            first = self.seen[name, kind]
-            raise CaseError(f"{record.where}: second {kind} of {name}, the first is at {first}")
-        self.seen[name, kind] = record.where
-        if kind == MACHINE:
+        what = record.model if kind == CONVERTER else kind  # which several records make up
+        if (name, what) in self.seen:
+            first = self.seen[name, what]
+            raise CaseError(f"{record.where}: second {what} of {name}, the first is at {first}")
+        self.seen[name, what] = record.where
+        if kind == CONVERTER:
+            source = {"source": f"{self.path.name}, converter records"}
+            self.rows[name][kind] = self.rows[name].get(kind, source) | row
+            if record.model in CONVERTERS:
+                self.where[name] = record.where
+        elif kind == MACHINE:
             self.where[name] = record.where
             self.rows[name] |= row
         else:
             self.rows[name][kind] = {"source": f"{self.path.name}, {record.model}", **row}
         self.report.read[record.model] += 1
+
+    def check_converters(self) -> None:
+        """Check that each converter has what sets its currents, and nothing that belongs to a machine."""
+        for name, row in self.rows.items():
+            if CONVERTER not in row:
+                continue
+            place = next(at for (unit, _), at in self.seen.items() if unit == name)
+            for model, does in (("REGCA1", "is the converter itself"), ("REECB1", "sets its currents")):
+                if (name, model) not in self.seen:
+                    raise CaseError(f"{place}: {name} has no {model}, which {does}{_CURRENTS}")
+            others = row.keys() - {CONVERTER}
+            if others:
+                what = f"{sorted(others)[0]!r} beside a converter"
+                raise CaseError(f"{place}: {name} has {what}, allowed: records of one of both")
 
     def take_the_rest(self, exponent: float) -> None:
         """Make the units without any record constant P and Q (exponent 0) or currents (1)."""
@@ -242,11 +270,7 @@ def _row(
 ) -> tuple[str, dict[str, Any]]:
     """What a record is, and the keys it gives."""
     if record.model not in MACHINES:
-        if record.model not in records:
-            raise CaseError(f"{record.where}: {_unknown(record, records)}")
-        result = device_for_dyr(record, own.values())
-        device = result.model.device
-        return device.kind, {"kind": device.key} | dict(result.parameters)
+        return _device(record, own, records)
     count, convert = MACHINES[record.model]
     if record.model == "GENCLS" and len(record.fields) == count + 1:  # a reactance, which the RAW has too
         report.assume("third field of GENCLS left out: the reactance is that of the RAW", record.where)
@@ -267,12 +291,30 @@ def _row(
     return MACHINE, row | {"torque_by_speed": True} if row["model"] == "round_rotor" else row
 
 
+def _device(
+    record: DyrRecord, own: Mapping[str, Model], records: Collection[str]
+) -> tuple[str, dict[str, Any]]:
+    """The kind of device that a record is, and its row."""
+    if record.model not in records:
+        raise CaseError(f"{record.where}: {_unknown(record, records)}")
+    measured = [str(field).strip() for field in record.fields[:3]]
+    if record.model == "REPCA1" and any(text not in ("0", "0.0") for text in measured):
+        raise CaseError(
+            f"{record.where}: REPCA1 at bus {record.bus} measures another bus or a branch, "
+            f"{' '.join(measured)}, allowed: 0 0 0, its own bus; "
+            "--leave-out REPCA1 goes on without plant controls"
+        )
+    result = device_for_dyr(record, own.values())
+    device = result.model.device
+    return device.kind, {"kind": device.key} | dict(result.parameters)
+
+
 def _unknown(record: DyrRecord, records: Collection[str]) -> str:
     model, advice = record.model, ""
     if record.user:
         advice = f"; draw it as a device named {model} and give its file with --device"
     elif model in CONVERTERS:
-        advice = "; --converters current takes converters as constant currents"
+        advice = _CURRENTS
     else:
         near = "" if model in KNOWN else nearest(model, [*MACHINES, *records])
         advice = f"; {near}" if near else ""

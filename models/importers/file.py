@@ -33,7 +33,7 @@ def import_grid(
     Q_exponent: float | None = None,
     strict: bool = False,
     island: int | str | None = None,
-    converters: str = "refuse",
+    converters: str = "model",
     coordinates: str | Path | None = None,
     release_limits: bool = False,
     devices: Sequence[str | Path] = (),
@@ -42,9 +42,9 @@ def import_grid(
 ) -> Imported:
     """Return the grid of a file of PSS/E or MATPOWER, or of a name in `PUBLISHED`; options as `import_psse`.
 
-    converters : "refuse", or "current" for constant currents. release_limits : widen the limits that keep
-    controls from resting where their machines start. leave_out, replace_models : models of DYR
-    records to pass over, and to read as another.
+    converters : "model", what their records say, or "current" for constant currents. release_limits : widen
+    the limits that keep controls from resting where their machines start. leave_out, replace_models : models
+    of DYR records to pass over, and to read as another.
 
     Raises
     ------
@@ -68,8 +68,8 @@ def import_grid(
     if not file.is_file():
         what = "is a folder" if file.is_dir() else "is no regular file" if file.exists() else "no such file"
         raise CaseError(f"{file}: {what}, allowed: {FORMATS}, or {', '.join(PUBLISHED)}")
-    if converters not in ("refuse", "current"):
-        raise CaseError(f"converters = {converters!r}, allowed: refuse, current")
+    if converters not in ("model", "current"):
+        raise CaseError(f"converters = {converters!r}, allowed: model, current")
     _check_numbers(frequency_hz, P_exponent=P_exponent, Q_exponent=Q_exponent)
     suffix = (Path(file.stem) if file.suffix.lower() in _PACKED else file).suffix.lower()
     if suffix == ".m":

@@ -52,7 +52,8 @@ def import_psse(
 
     strict : an assumption is an error. island : a bus of the island to keep, when there are several,
         or "all" with a slack bus.
-    converters_as_current : converters become constant currents instead of being refused. coordinates : CSV
+    converters_as_current : converters become constant currents instead of what their records say.
+    coordinates : CSV
     with bus, latitude, longitude. frequency_hz : for a file that has none; 60 Hz when not given. devices :
     files of devices of one's own, which records of their names (USRMDL or not) become. leave_out : models
     whose records are passed over. replace : model -> the one that its records are read as, by the order of
@@ -86,7 +87,7 @@ def import_psse(
         dynamics = machine_dynamics(
             read, machine_of, out, report, converters_as_current=converters_as_current, own=own
         )
-        if len(dynamics.constant) == len(names):
+        if len(dynamics.constant) + len(dynamics.converters) == len(names):
             raise CaseError(f"{dyr}: no machine model for any unit of {path.name}, allowed: at least one")
         _compare_reactances(grid, names, dynamics, report)
         grid.source += f" and {Path(dyr).name}"
@@ -97,7 +98,10 @@ def import_psse(
         name=name or case_name(path, report),
         exponents=exponents,
         constant={names.index(n): exponent for n, exponent in dynamics.constant.items()},
+        converters={names.index(n) for n in dynamics.converters},
     )
+    for key, control in dynamics.converters.items():
+        document["converters"][key]["control"] = control
     for key, row in dynamics.rows.items():
         document["machines"][key] |= row
     document["devices"] = provided["devices"]
@@ -122,7 +126,7 @@ def _case_with_lines(document: dict[str, Any], where: str, lines: Mapping[str, s
     try:
         return case_of(document, where=where)
     except CaseError as error:
-        machine = re.search(r"machines\.(\w+)", str(error))
+        machine = re.search(r"(?:machines|converters)\.(\w+)", str(error))
         line = lines.get(machine.group(1)) if machine else None
         raise CaseError(f"{error} (given at {line})" if line else str(error)) from None
 

@@ -19,6 +19,8 @@ class Kind:
     output: str
     references: tuple[str, ...]
     text: str
+    also: tuple[str, ...] = ()  #: further outputs, which the network takes from their states
+    of_port: tuple[str, ...] = ()  #: parameters that the port of its bus may use
 
 
 _TERMINAL = {
@@ -55,8 +57,23 @@ KINDS: dict[str, Kind] = {
     ),
     "svc": Kind(_AT_BUS, "b", ("vref",), "susceptance of a static var compensator, pu of its base"),
     "statcom": Kind(_AT_BUS, "i", ("vref",), "reactive current of a STATCOM, pu of its base"),
+    "converter": Kind(
+        {
+            "vt": "voltage of its bus, pu",
+            "p": "active power into the network, pu of its base",
+            "q": "reactive power into the network, pu of its base",
+            "p_mod": "modulation of the active power, pu of its base",
+            "q_mod": "modulation where the reactive reference is added, pu of its base",
+        },
+        "ip",
+        ("pref", "qref"),
+        "active current `ip` and reactive current `iq` of a converter, pu of its base",
+        ("iq",),
+        ("Lvpnt0", "Lvpnt1", "Volim", "Khv", "Iolim"),
+    ),
 }
-AT_BUS = ("svc", "statcom")  #: kinds of devices at a bus; the others belong to a machine
+AT_BUS = ("svc", "statcom", "converter")  #: kinds of devices at a bus; the others belong to a machine
+OF_SVC = ("svc", "statcom")  #: kinds of the table svcs
 OF_MACHINE = tuple(kind for kind in KINDS if kind not in AT_BUS)
 MBASE = "MBASE"  #: MVA base of the machine or of the device at a bus, known to every device
 UNITS = ("1", "s", "pu", "pu/s", "rad", "deg", "Hz", "MVA", "1/s")
@@ -84,12 +101,12 @@ class Line:
 _LIMITS = frozenset({"min", "max"})
 #: element -> number of arguments, options
 ELEMENTS: dict[str, tuple[int, frozenset[str]]] = {
-    "lag": (2, _LIMITS | {"K", "rate_min", "rate_max", "rest"}),
+    "lag": (2, _LIMITS | {"K", "rate_min", "rate_max", "rest", "freeze"}),
     "leadlag": (3, _LIMITS | {"K"}),
     "washout": (2, frozenset({"K"})),
     "rate": (3, frozenset()),
-    "integrator": (1, _LIMITS | {"K", "T", "rest"}),
-    "pi": (3, _LIMITS | {"add", "feedback"}),
+    "integrator": (1, _LIMITS | {"K", "T", "rest", "freeze"}),
+    "pi": (3, _LIMITS | {"add", "feedback", "rest", "freeze"}),
     "filter2": (5, frozenset()),
 }
 
@@ -180,6 +197,11 @@ class Device:
     def output(self) -> str:
         """Name of the output."""
         return KINDS[self.kind].output
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Names of all outputs."""
+        return (self.output, *KINDS[self.kind].also)
 
     @property
     def inputs(self) -> tuple[str, ...]:

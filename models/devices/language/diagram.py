@@ -31,6 +31,7 @@ class Diagram:
     ) -> None:
         self.source, self.kind_name, self.kind = source, kind, KINDS[kind]
         self.constants, self.references = constants, references
+        self.outputs = (self.kind.output, *self.kind.also)
 
     def lines(self) -> tuple[Line, ...]:
         """Return the lines in their order; those of parameters only are put in where they are used.
@@ -75,8 +76,9 @@ class Diagram:
             for name in line.node.names:
                 if name not in known:
                     raise self.source.fail(f"{name} is not known here, {nearest(name, known)}", line.number)
-        if self.kind.output not in known:
-            raise self.source.fail(f"no line gives {self.kind.output}, the output of a {self.kind_name}")
+        for output in self.outputs:
+            if output not in known:
+                raise self.source.fail(f"no line gives {output}, the output of a {self.kind_name}")
 
     def fold(self, lines: list[Line]) -> list[Line]:
         """Put lines of parameters only into the lines that use them."""
@@ -96,7 +98,7 @@ class Diagram:
         return [
             Line(line.name, replaced(line.node, solved), line.comment, line.number)
             for line in lines
-            if line.name not in solved or line.name == self.kind.output
+            if line.name not in solved or line.name in self.outputs
         ]
 
     def bounded(self, name: str, node: Node, sizes: Mapping[str, int], line: int = 0) -> int:
@@ -113,7 +115,7 @@ class Diagram:
         name, sign, text = code.partition("=")
         if not sign:
             raise self.source.fail(f"{code.strip()[:40]!r}: allowed: name = expression", k)
-        name = self.source.name_of(name.strip(), k) if name.strip() != self.kind.output else self.kind.output
+        name = name.strip() if name.strip() in self.outputs else self.source.name_of(name.strip(), k)
         node = parse(text, f"{self.source.file}:{k}", _CALLS)
         if node.op == "ramp":
             return self.ramp(name, node, comment, k)
@@ -152,7 +154,7 @@ class Diagram:
 
     def check_constants(self, node: Node, k: int) -> None:
         """Times and gains of an element hold parameters only; lines of parameters are put in later."""
-        fixed = [*node.args[1:], *(p for key, p in node.options if key in ("K", "T", "rate_min", "rate_max"))]
+        fixed = [*node.args[1:], *(p for key, p in node.options if key in ("K", "T"))]
         signals = set(self.kind.inputs) | set(self.references)
         for part in fixed:
             for name in part.names:

@@ -144,6 +144,11 @@ class Element:
         """Value of K u."""
         return evaluate(self.K, values) * evaluate(self.u, values)
 
+    def standing(self, rate: Any, values: Values) -> Any:
+        """`rate`, or less of it where the option freeze says so: 0 where that is 1."""
+        freeze = self.line.option("freeze")
+        return rate if freeze is None else rate * (1.0 - evaluate(freeze, values))
+
     def bounds(self, values: Values) -> tuple[Any, Any]:
         """Values of the limits; a lower one above the upper takes its place."""
         low, high = self.limits

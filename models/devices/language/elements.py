@@ -39,12 +39,13 @@ class Lag(Element):
         if self.line.option("rate_min") is None and self.line.option("rate_max") is None:
             above = real_part(u) > real_part(high) and real_part(y) >= real_part(high)
             below = real_part(u) < real_part(low) and real_part(y) <= real_part(low)
-            return {self.line.name: ((high if above else low if below else u) - y) / T}
+            rate = ((high if above else low if below else u) - y) / T
+            return {self.line.name: self.standing(rate, values)}
         slowest = evaluate(self.option("rate_min", number(-NO_LIMIT)), values)
         fastest = evaluate(self.option("rate_max", number(NO_LIMIT)), values)
         rate = (u - y) / T
         rate = slowest if real_part(rate) < slowest else fastest if real_part(rate) > fastest else rate
-        return {self.line.name: _held(rate, y, low, high, T)}
+        return {self.line.name: _held(self.standing(rate, values), y, low, high, T)}
 
 
 def _held(rate: Any, y: Any, low: Any, high: Any, T: float) -> Any:
@@ -79,7 +80,7 @@ class Integrator(Element):
     def rates(self, x: Values, values: Values, on: On) -> dict[str, Any]:
         y, T = x[self.line.name], self.time(self.T, values)
         low, high = self.bounds(values)
-        return {self.line.name: _held(self.input(values) / T, y, low, high, T)}
+        return {self.line.name: _held(self.standing(self.input(values) / T, values), y, low, high, T)}
 
 
 class LeadLag(Element):
@@ -220,7 +221,7 @@ class Pi(Element):
         whole, (low, high) = self._whole(x, values, on), self.bounds(values)
         feedback = evaluate(self.parts[1], values)
         error = evaluate(self.u, values) - feedback * values[self.line.name]
-        rate = evaluate(self.args[2], values) * error
+        rate = self.standing(evaluate(self.args[2], values) * error, values)
         outwards = (real_part(whole) > real_part(high) and real_part(rate) > 0.0) or (
             real_part(whole) < real_part(low) and real_part(rate) < 0.0
         )

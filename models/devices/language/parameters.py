@@ -17,7 +17,7 @@ def read_parameters(source: Source, kind: str, references: tuple[str, ...]) -> d
     ------
     DeviceError : a name that is taken or no name, a key that does not exist, a default beyond its range.
     """
-    signals = {*KINDS[kind].inputs, KINDS[kind].output, *references}
+    signals = {*KINDS[kind].inputs, KINDS[kind].output, *KINDS[kind].also, *references}
     parameters = {}
     for name, row in source.table("parameters").items():
         line = source.line_of(name, "parameters")

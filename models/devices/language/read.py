@@ -85,7 +85,7 @@ class _Reader(Source):
         self.parameters = read_parameters(self, kind, self.references)
         self.constants = frozenset(self.parameters) | {MBASE}
         lines = Diagram(self, kind, self.constants, self.references).lines()
-        at_rest = self.constants | set(self.kind.inputs) | {self.kind.output}
+        at_rest = self.constants | {*self.kind.inputs, self.kind.output, *self.kind.also}
         fixed = tuple((key, self.expression(t, "references", at_rest)) for key, t in fixed_text.items())
         computed = self.read_computed(at_rest)
         checks = tuple(self.read_check(text, remedy) for text, remedy in self.table("check").items())
@@ -171,13 +171,13 @@ class _Reader(Source):
         return assigned
 
     def check_use(self, lines: tuple[Line, ...], others: list[Node]) -> None:
-        used = {name for line in lines for name in line.node.names} | {self.kind.output}
+        used = {name for line in lines for name in line.node.names} | {self.kind.output, *self.kind.also}
         for line in lines:
             if line.name not in used:
                 raise self.fail(
                     f"the signal {line.name} leads nowhere; use it or take its line out", line.number
                 )
-        used |= {name for node in others for name in node.names}
+        used |= {name for node in others for name in node.names} | {*self.kind.of_port}
         for name in (*self.parameters, *self.references):
             if name not in used:
                 where = self.line_of(name, "parameters")

@@ -176,24 +176,28 @@ static size_t solve_sparse(real *memory, const Plan *plan, const Pattern *patter
     return 0;
 }
 
-/* Voltages that devices at buses see. */
-static void see_voltages(const real *memory, const Plan *plan, Work *w)
+/* Voltages that devices at buses see, and the powers of converters, on their base. */
+static void see_voltages(const real *memory, const Plan *plan, const num *x, Work *w)
 {
     for (size_t p = 0; p < plan->n_port; ++p) {
         const real *row = memory + plan->port + P_ROWS * p;
         if (index_at(row, P_KIND) != PORT_DEVICE || index_at(row, P_SEES) == 0) continue;
-        w->vt[plan->n_machine + index_at(row, P_SEES) - 1] =
-            num_sqrt(w->port.v_re[p] * w->port.v_re[p] + w->port.v_im[p] * w->port.v_im[p]);
+        const size_t at = plan->n_machine + index_at(row, P_SEES) - 1;
+        w->vt[at] = num_sqrt(w->port.v_re[p] * w->port.v_re[p] + w->port.v_im[p] * w->port.v_im[p]);
+        if (index_at(row, P_COUPLING) != COUPLING_CONVERTER) continue;
+        bus_device_power(row, x, w->port.v_re[p], w->port.v_im[p], &w->pe[at], &w->ifd[at]);
+        w->pe[at] = num_ratio(w->pe[at], NUM(row[P_SCALE]));
+        w->ifd[at] = num_ratio(w->ifd[at], NUM(row[P_SCALE]));
     }
 }
 
 /* Terminals of the machines from their currents, and what other devices see. */
-static void solve_terminals(const real *memory, const Plan *plan, const Machines *machines, Work *w)
+static void solve_terminals(const real *memory, const Plan *plan, const Machines *machines, const num *x, Work *w)
 {
     EVERY_MACHINE(machine_terminal, plan, w, machines);
     if (plan->n_port > 0) saturate_terminals(memory, plan, w);
     else w->id_rotor = w->id;
-    if (plan->n_at_bus > 0) see_voltages(memory, plan, w);
+    if (plan->n_at_bus > 0) see_voltages(memory, plan, x, w);
 }
 
 /* The frame in which folded ports are solved turns with the centre of inertia of each part. */
@@ -215,7 +219,7 @@ static size_t solve_network(real *memory, const Plan *plan, const Pattern *patte
     else if (plan->n_port > 0) stuck = solve_ports(memory, plan, x, NULL, w->newton, w);
     if (stuck > 0) return stuck;
     if (!is_sparse(plan)) solve_dense(memory, plan, w);
-    solve_terminals(memory, plan, &machines, w);
+    solve_terminals(memory, plan, &machines, x, w);
     return 0;
 }
 
@@ -267,7 +271,8 @@ static void solve_devices(const real *memory, const Plan *plan, const num *x, co
     const real *table = memory + plan->machine, *of = memory + plan->input_machine;
     const Machines machines = machines_of(memory, plan, x, w);
     const DeviceSignals signals = { w->vt, w->vd, w->vq, w->id, w->iq, w->pe, machines.x.slip, w->ifd,
-                                    memory + plan->pm_step, w->vc, w->vs, w->pm, w->efd, w->out, w->out };
+                                    memory + plan->pm_step, w->vc, w->vs, w->pm, w->efd, w->out, w->out, w->out,
+                                    w->pe, w->ifd, w->vs, w->vc };
 
     for (size_t k = 0; k < n; ++k) {
         w->efd[k] = NUM(table[M_EFD0 * n + k]);
@@ -278,9 +283,13 @@ static void solve_devices(const real *memory, const Plan *plan, const num *x, co
     }
     EVERY_MACHINE(machine_field_currents, plan, w, &machines);
     run_groups(memory, plan, w, 0, plan->exciters, &signals, x, dx);
-    for (size_t k = n; k < plan->n_place; ++k) w->vs[k] = NUM(0.0);
+    for (size_t k = n; k < plan->n_place; ++k) w->vs[k] = w->vc[k] = NUM(0.0);
     for (size_t k = 0; k < plan->n_place; ++k) w->vs[k] += memory[plan->vref_step + k];
-    for (size_t k = 0; k < plan->n_input; ++k) w->vs[index_at(of, k)] += u[k];
+    for (size_t k = 0; k < plan->n_input; ++k) {
+        const size_t at = index_at(of, k);
+        if (at < plan->n_place) w->vs[at] += u[k];
+        else w->vc[at - plan->n_place] += u[k];
+    }
     run_groups(memory, plan, w, plan->exciters, plan->n_group, &signals, x, dx);
 }
 

@@ -17,6 +17,14 @@ static num bus_shown(const real *memory, const Plan *plan, size_t kind, size_t b
     return kind == SHOW_BUS_RE ? along : kind == SHOW_BUS_IM ? across : num_angle(across, along);
 }
 
+/* Active or reactive power of the device at port `of`. */
+static num device_shown(const real *memory, const Plan *plan, size_t kind, size_t of, const num *x, const Work *w)
+{
+    num p, q;
+    bus_device_power(memory + plan->port + P_ROWS * of, x, w->port.v_re[of], w->port.v_im[of], &p, &q);
+    return kind == SHOW_DEVICE_P ? p : q;
+}
+
 /* What is shown from the solved network; Efd and Pm also need solve_devices. */
 static num shown(const real *memory, const Plan *plan, const Pattern *pattern, size_t kind, size_t of,
                  const num *x, const Work *w)
@@ -24,6 +32,7 @@ static num shown(const real *memory, const Plan *plan, const Pattern *pattern, s
     const MachineStates states = machine_states(x, plan->n_machine, plan->n_sixth);
     num re = NUM(0.0), im = NUM(0.0);
 
+    if (kind >= SHOW_DEVICE_Q) return device_shown(memory, plan, kind, of, x, w);
     switch (kind) {
     case SHOW_DW: return states.slip[of];
     case SHOW_DELTA: return states.delta[of] - value_at(w->centre, memory[plan->part + of]);
@@ -31,11 +40,6 @@ static num shown(const real *memory, const Plan *plan, const Pattern *pattern, s
         return (w->vd[of] * w->id[of] + w->vq[of] * w->iq[of]) * memory[plan->machine + M_RATIO * plan->n_machine + of];
     case SHOW_VT: return w->vt[of];
     case SHOW_TIE: return network_tie_power(memory, plan, pattern, w->e_re, w->e_im, w->v);
-    case SHOW_DEVICE_Q: {   /* Im (V conj I) */
-        const num *v_re = w->port.v_re + of, *v_im = w->port.v_im + of;
-        bus_device_injection(memory + plan->port + P_ROWS * of, x, *v_re, *v_im, &re, &im);
-        return *v_im * re - *v_re * im;
-    }
     case SHOW_EFD: return w->efd[of];
     case SHOW_PM: return w->pm[of];
     case SHOW_BUS_V:

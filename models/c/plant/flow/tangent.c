@@ -202,7 +202,7 @@ size_t plant_device_slopes(double *memory, const int32_t *places, const BlockLay
     /* the frame has turned by nothing at rest, and stands while the states move */
     EVERY_MACHINE(machine_emf, plan, &w, &machines);
     inject_apart(memory, plan, z, volts, volts + sources, &w);
-    solve_terminals(memory, plan, &machines, &w);
+    solve_terminals(memory, plan, &machines, z, &w);
     solve_rates(memory, plan, z, input, rates, &w);
     for (size_t k = 0; k < layout->n_x; ++k) vdx[k] = cimag(rates[k]) / H;
     for (size_t k = 0; k < n; ++k) {

@@ -7,9 +7,22 @@
  *
  *     susceptance (SVC)       I = -j y V
  *     current (STATCOM)       I = -j y V/u,   u = max(|V|, P_LOW)
+ *     converter (REGC_A)      I = (g(|V|) ip - j (iq - h(|V|))) V/u, ip and iq two states times scale: g rises from
+ *                             0 at P_ZERO to 1 at P_FULL, h by P_TAKEN above P_HIGH, where iq - h stops at P_LEAST
  *     none                    0: the voltage there is measured only
  *
  * The current turns with V, so the frame of folded ports (port.h) does not matter. */
+
+/* Of a converter the current along and across V; ip, iq: system base. */
+static inline void converter_current(const real *row, num ip, num iq, num v, num *along, num *across)
+{
+    const num zero = NUM(row[P_ZERO]), full = NUM(row[P_FULL]), high = NUM(row[P_HIGH]), least = NUM(row[P_LEAST]);
+    const num part = num_ratio(v - zero, full - zero), less = iq - row[P_TAKEN] * (v - high);
+    const num some = num_pick(num_above(v, zero), part * ip, NUM(0.0));
+
+    *along = num_pick(num_above(full, v), some, ip);
+    *across = -num_pick(num_above(v, high), num_pick(num_above(least, less), num_pick(num_above(iq, least), least, iq), less), iq);
+}
 
 /* Current the port injects at the bus voltage v. */
 static inline void bus_device_injection(const real *row, const num *x, num v_re, num v_im, num *i_re, num *i_im)
@@ -19,29 +32,79 @@ static inline void bus_device_injection(const real *row, const num *x, num v_re,
     num y = NUM(0.0);
 
     if (coupling != COUPLING_NONE) y = num_pick(on, row[P_SCALE] * x[index_at(row, P_STATE)] + row[P_BIAS], y);
-    if (coupling == COUPLING_CURRENT) {
+    if (coupling == COUPLING_CURRENT || coupling == COUPLING_CONVERTER) {
         const num v = num_sqrt(v_re * v_re + v_im * v_im), low = NUM(row[P_LOW]);
-        y = num_ratio(y, num_pick(num_above(v, low), v, low));
+        const num u = num_pick(num_above(v, low), v, low);
+        if (coupling == COUPLING_CONVERTER) {
+            const num iq = num_pick(on, row[P_SCALE] * x[index_at(row, P_STATE_Q)], NUM(0.0));
+            num a, b;
+            converter_current(row, y, iq, v, &a, &b);
+            b = num_pick(on, b, NUM(0.0));
+            *i_re = num_ratio(a * v_re - b * v_im, u);
+            *i_im = num_ratio(a * v_im + b * v_re, u);
+            return;
+        }
+        y = num_ratio(y, u);
     }
     *i_re = y * v_im;
     *i_im = -(y * v_re);
 }
 
-#if !defined PLANT_TANGENT && !defined PLANT_LANES
-/* y of a device's port. x: of a complex step two numbers each, hence the stride; null: at rest. */
-static inline double bus_device_at(const double *row, const double *x, size_t stride)
+/* Active and reactive power into the network, system base. */
+static inline void bus_device_power(const real *row, const num *x, num v_re, num v_im, num *p, num *q)
 {
-    return x == NULL ? row[P_REST] : row[P_SCALE] * x[stride * index_at(row, P_STATE)] + row[P_BIAS];
+    num i_re, i_im;
+    bus_device_injection(row, x, v_re, v_im, &i_re, &i_im);
+    *p = v_re * i_re + v_im * i_im;
+    *q = v_im * i_re - v_re * i_im;
 }
 
-/* d (i_re, i_im) / d (v_re, v_im) for y, row by row. */
-static inline void bus_device_slope(const double *row, double y, double v_re, double v_im, double d[4])
+#if !defined PLANT_TANGENT && !defined PLANT_LANES
+/* d (i_re, i_im) / d (v_re, v_im) of c V, c = (a + j b)/u with slope by |V|, row by row. */
+static inline void bus_device_turned(double a, double b, double a_slope, double b_slope, double v_re, double v_im,
+                                     double low, double d[4])
+{
+    const double v = sqrt(v_re * v_re + v_im * v_im), u = v > low ? v : low, falls = v > low ? 1.0 / u : 0.0;
+    const double re = a / u, im = b / u, unit_re = v > 0.0 ? v_re / v : 1.0, unit_im = v > 0.0 ? v_im / v : 0.0;
+    const double re_slope = a_slope / u - re * falls, im_slope = b_slope / u - im * falls;
+    const double x = re_slope * v_re - im_slope * v_im, y = re_slope * v_im + im_slope * v_re;
+
+    d[0] = re + x * unit_re;
+    d[1] = -im + x * unit_im;
+    d[2] = im + y * unit_re;
+    d[3] = re + y * unit_im;
+}
+
+static inline void converter_slope(const double *row, double ip, double iq, double v_re, double v_im, double d[4])
+{
+    const double v = sqrt(v_re * v_re + v_im * v_im), per = 1.0 / (row[P_FULL] - row[P_ZERO]);
+    const int rises = v > row[P_ZERO] && v < row[P_FULL], taken = v > row[P_HIGH];
+    double a, b;
+
+    converter_current(row, ip, iq, v, &a, &b);
+    bus_device_turned(a, b, rises ? ip * per : 0.0, taken && -b > row[P_LEAST] && row[P_TAKEN] > 0.0 ? row[P_TAKEN] : 0.0,
+                      v_re, v_im, row[P_LOW], d);
+}
+
+/* d (i_re, i_im) / d (v_re, v_im), row by row. x: of a complex step two numbers each, hence the stride; null: at rest. */
+static inline void bus_device_slope(const double *row, const double *x, size_t stride, double v_re, double v_im,
+                                    double d[4])
 {
     const size_t coupling = index_at(row, P_COUPLING);
+    double y = x == NULL ? row[P_REST] : row[P_SCALE] * x[stride * index_at(row, P_STATE)] + row[P_BIAS];
     const double v = sqrt(v_re * v_re + v_im * v_im), low = row[P_LOW];
     double along = 0.0;   /* how y/u falls with |V|, over |V| */
 
     if (coupling == COUPLING_NONE || !(row[P_ON] > 0.5)) y = 0.0;
+    if (coupling == COUPLING_CONVERTER) {
+        double iq = x == NULL ? row[P_REST_Q] : row[P_SCALE] * x[stride * index_at(row, P_STATE_Q)];
+        if (!(row[P_ON] > 0.5)) {
+            d[0] = d[1] = d[2] = d[3] = 0.0;
+            return;
+        }
+        converter_slope(row, y, iq, v_re, v_im, d);
+        return;
+    }
     if (coupling == COUPLING_CURRENT) {
         if (v > low) along = -y / (v * v * v);
         y /= v > low ? v : low;

@@ -248,7 +248,7 @@ size_t port_solve(double *memory, const Plan *plan, size_t lanes, PortCare care,
 /* The network folded with the slopes at rest; others, where they are wanted, are kept for `wait` seconds.
  * work: 2 n_machine + 6 n_port + 8 n_port^2. */
 void port_fold_at_rest(double *memory, const Plan *plan, size_t lanes, double wait, double *work);
-/* dJ/dV of port p, row by row, a machine's on its base. x, stride: as of bus_device_at. */
+/* dJ/dV of port p, row by row, a machine's on its base. x, stride: as of bus_device_slope. */
 void port_slope_at(const double *memory, const Plan *plan, size_t p, double v_re, double v_im, const double *x,
                    size_t stride, const double *sine, const double *cosine, double d[4]);
 /* Inverse of 1 - Z dJ/dV at the voltages v (row-major, real and imaginary part of

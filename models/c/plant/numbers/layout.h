@@ -63,7 +63,13 @@ enum {  /* the same rows at the port of a device at a bus (bus_device.h) */
     P_COUPLING,         /* CouplingKind                                 */
     P_REST,             /* that at rest                                 */
     P_SEES,             /* 1 + device whose input is the voltage here, 0: none */
-    P_LOW               /* voltage below which a current falls with it  */
+    P_LOW,              /* voltage below which a current falls with it  */
+    P_STATE_Q,          /* of a converter: state of its reactive current; P_STATE is that of the active one */
+    P_REST_Q,           /* that at rest, system base                    */
+    P_ZERO, P_FULL,     /* voltages between which its active current rises from 0 */
+    P_HIGH,             /* voltage above which reactive current is taken off */
+    P_TAKEN,            /* and how much by voltage, system base         */
+    P_LEAST             /* but not below this, system base              */
 };
 enum {  /* the same rows at a machine's port */
     P_SATURATION = P_LOAD, /* SaturationKind                            */
@@ -76,13 +82,13 @@ enum {  /* the same rows at a machine's port */
     P_SALIENCY          /* 1/(Xd2 - Xl) - 1/(Xq2 - Xl)                  */
 };
 typedef enum { PORT_LOAD = 1, PORT_MACHINE, PORT_DEVICE, PORT_KINDS } PortKind;
-typedef enum { COUPLING_NONE, COUPLING_SUSCEPTANCE, COUPLING_CURRENT, COUPLING_KINDS } CouplingKind;
+typedef enum { COUPLING_NONE, COUPLING_SUSCEPTANCE, COUPLING_CURRENT, COUPLING_CONVERTER, COUPLING_KINDS } CouplingKind;
 typedef enum { SATURATION_NONE, SATURATION_TOTAL, SATURATION_INCREMENTAL } SaturationKind;
 
 /* What is shown, outputs and then locals: its kind and which machine, bus or line. */
 typedef enum {
     SHOW_DW, SHOW_DELTA, SHOW_PE, SHOW_VT, SHOW_TIE, SHOW_BUS_V, SHOW_EFD, SHOW_PM, SHOW_LINE_P, SHOW_LINE_Q,
-    SHOW_LINE_I, SHOW_BUS_ANGLE, SHOW_BUS_RE, SHOW_BUS_IM, SHOW_DEVICE_Q, SHOW_KINDS
+    SHOW_LINE_I, SHOW_BUS_ANGLE, SHOW_BUS_RE, SHOW_BUS_IM, SHOW_DEVICE_Q, SHOW_DEVICE_P, SHOW_KINDS
 } ShowKind;
 enum {  /* tie branch: buses of its measured and its other end, admittances seen from there */
     T_BRANCH, T_OWN, T_OTHER, T_OWN_RE, T_OWN_IM, T_MUTUAL_RE, T_MUTUAL_IM, T_ROWS
@@ -144,7 +150,7 @@ typedef struct {
     size_t group;         /* G_ROWS for each group, in the order in which they run */
     size_t device_machine; /* n_device: places, group by group                     */
     size_t device_table;  /* n_table: tables, group by group                       */
-    size_t input_machine; /* n_input: the place an input acts on                   */
+    size_t input_machine; /* n_input: the place an input acts on; n_place more: that on its reactive reference */
     size_t tie;           /* T_ROWS x (n_tie + n_line): branches whose power is the output tie_p, then lines */
     size_t show;          /* ShowKind of n_y + n_w, then of which                  */
     size_t bus_part;      /* n_bus: first machine of the part of the network       */

@@ -180,7 +180,7 @@ static int is_place(double value, size_t below) { return value >= 0.0 && value <
 static int device_port_fits(const Plan *plan, const double *row)
 {
     return is_place(row[P_BUS], plan->n_bus) && is_place(row[P_STATE], plan->n_state)
-           && is_place(row[P_COUPLING], COUPLING_KINDS) && is_place(row[P_SEES], plan->n_at_bus + 1);
+           && is_place(row[P_COUPLING], COUPLING_KINDS) && is_place(row[P_STATE_Q], plan->n_state) && is_place(row[P_SEES], plan->n_at_bus + 1);
 }
 
 /* The ports' table, its references checked. */
@@ -240,7 +240,7 @@ static void check_show(Reader *r, const Plan *plan)
         const int line = kind[k] >= SHOW_LINE_P && kind[k] <= SHOW_LINE_I;
         const int bus = kind[k] == SHOW_BUS_V || (kind[k] >= SHOW_BUS_ANGLE && kind[k] <= SHOW_BUS_IM);
         const size_t count = line ? plan->n_line : bus ? plan->n_bus
-                           : kind[k] == SHOW_DEVICE_Q ? plan->n_port : plan->n_machine;
+                           : kind[k] >= SHOW_DEVICE_Q ? plan->n_port : plan->n_machine;
         const int device = kind[k] == SHOW_EFD || kind[k] == SHOW_PM;
         if ((size_t)of[k] >= count || (device && k < plan->n_y)) r->bad = "show.of";
     }
@@ -263,7 +263,7 @@ BlockStatus plant_check(const Record *record, const BlockLayout *layout, const P
     (void)reals(&r, "state.rest", layout->n_x);
     (void)reals(&r, "port.rest", 2 * plan->n_port);
     check_groups(&r, layout, plan);
-    (void)integers(&r, "input.machine", plan->n_input, plan->n_place);
+    (void)integers(&r, "input.machine", plan->n_input, 2 * plan->n_place);
     check_pattern(&r, plan, net->places);
     (void)integers(&r, "state.machine", layout->n_x, plan->n_place);
     (void)integers(&r, "tie.branch", plan->n_tie + plan->n_line, plan->n_branch);
@@ -322,7 +322,7 @@ static void read_tables(const Record *record, const Plan *plan, const Network *n
     machine_prepare(memory + plan->machine, n, plan->n_sixth);
     copy_integers(memory + plan->machine_bus, net->machine_bus, n);
     copy_reals(memory + plan->rest, reals(&r, "machine.rest", R_ROWS * plan->n_place), R_ROWS * plan->n_place);
-    copy_integers(memory + plan->input_machine, integers(&r, "input.machine", plan->n_input, plan->n_place), plan->n_input);
+    copy_integers(memory + plan->input_machine, integers(&r, "input.machine", plan->n_input, 2 * plan->n_place), plan->n_input);
     read_groups(&r, plan, memory);
     copy_integers(memory + plan->state_machine, integers(&r, "state.machine", plan->n_state, plan->n_place), plan->n_state);
     copy_integers(memory + plan->show, integers(&r, "show.kind", plan->n_y + plan->n_w, SHOW_KINDS), plan->n_y + plan->n_w);

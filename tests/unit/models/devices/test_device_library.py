@@ -21,11 +21,16 @@ from interarea.models.errors import DeviceError
 PLANT = Path(__import__("interarea.models").models.__file__).parent / "c" / "plant" / "flow"
 #: one operating point of a machine; the phasors fit vt, and pe = vd id + vq iq
 SEEN = {"vt": 1.0, "vd": 0.6, "vq": 0.8, "id": 0.7, "iq": 0.5, "pe": 0.82, "slip": 0.0, "ifd": 1.9}
-SEEN |= {"vc": 1.0, "vs": 0.0, "pm": 0.82}
-OUTPUT = {"exciter": 1.8, "governor": 0.82, "svc": 0.1, "statcom": 0.1}
+SEEN |= {"vc": 1.0, "vs": 0.0, "pm": 0.82, "p": 0.4, "q": 0.1, "p_mod": 0.0, "q_mod": 0.0}
+OUTPUT = {"exciter": 1.8, "governor": 0.82, "svc": 0.1, "statcom": 0.1, "converter": 0.4}
 
 #: fields of a typical record; public data and the examples of the standards
 RECORDS = {
+    "REGCA1": "1 0.02 10 0.9 0.4 1.22 1.2 0.8 0.4 -1.3 0.02 0.7 99 -99 0.7",
+    "REECB1": "0 0 1 1 0 0.85 1.2 0.02 -0.05 0.05 1 1.1 -1.1 1 0.05 0.44 -0.44 1.1 0.9 0 0.1 1 40 0.02 "
+    "9 -9 1 0 1.1 0.02",
+    "REPCA1": "0 0 0 0 0 0 1 0.02 18 5 0 0.05 0.7 0 0 0.02 0.1 -0.1 -0.01 0.01 0.43 -0.43 1 0.05 0.25 0 0 "
+    "9 -9 1 0 0.1 0 0",
     "SEXS": "0.1 10 100 0.05 -5 5",
     "SCRX": "0.1 10 100 0.05 -5 5 0 10",
     "IEEET1": "0.02 40 0.05 5 -5 1 0.5 0.06 1 0 2.85 0.3 3.8 0.6",
@@ -114,6 +119,7 @@ def at_rest(name):
     model, given = TYPICAL[name]
     kind = model.device.kind
     inputs = {key: SEEN[key] for key in KINDS[kind].inputs}
+    inputs |= {"iq": SEEN["q"]} if kind == "converter" else {}
     output = OUTPUT.get(kind) if model.device.references else None
     return rest_of(model, complete(model, given), inputs, output, name), inputs
 
@@ -153,6 +159,8 @@ def test_rest_stands_still_and_gives_the_output(name):
 @pytest.mark.parametrize("name", RECORDS)
 def test_a_record_goes_in_and_out(name):
     model, given = TYPICAL[name]
+    if model.device.kind == "converter":
+        pytest.skip("several records make up one")
     out, fields = dyr_fields(model, complete(model, given))
     row = dyr_models()[name][1]
     kept = [k for k, field in enumerate(row.fields) if field != "-"]
@@ -208,7 +216,10 @@ double hold(size_t device, size_t n, uint64_t has, double *table, const double *
 }
 """
 #: members of DeviceSignals, in the order of elements.h
-MEMBERS = ("vt", "vd", "vq", "id", "iq", "pe", "slip", "ifd", "pref_step", "vc", "vs", "pm", "efd", "b", "i")
+MEMBERS = (
+    *("vt", "vd", "vq", "id", "iq", "pe", "slip", "ifd", "pref_step", "vc", "vs", "pm", "efd"),
+    *("b", "i", "ip", "p", "q", "p_mod", "q_mod"),
+)
 
 
 class Driver:

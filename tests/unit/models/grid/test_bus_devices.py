@@ -97,7 +97,7 @@ def test_a_trip_leaves_the_grid_without_it(network):
 def test_the_power_flow_holds_its_voltage_or_takes_its_power():
     held = solve_powerflow(with_svc("svc", V_pu=1.0))
     assert abs(held.voltage(8)) == pytest.approx(1.0, abs=1e-12)
-    again = solve_powerflow(with_svc("svc", Q_mvar=100.0 * float(held.svc_q[0])))
+    again = solve_powerflow(with_svc("svc", Q_mvar=100.0 * float(held.at_buses[0].imag)))
     assert np.max(np.abs(again.voltages - held.voltages)) < 1e-9
     assert np.max(np.abs(again.generation - held.generation)) < 1e-8
 

@@ -302,7 +302,8 @@ DYR_REFUSED = [
     ("'IEEEST' 1 1 0", "'IEEEST' 1 1", r"grid\.dyr:5: IEEEST has 18 fields, allowed: 19, ICS 0 A1"),
     ("1.7 0.3 0.55", "1.7 1.9 0.55", r"Xd = 1.8 with Xd1 = 1.9.*\(given at .*grid\.dyr:2\)"),
     ("1 'EXST1'", "1 'GENROU'", r"grid\.dyr:4: GENROU has 12 parameters"),
-    ("2 'GENROU' 1", "2 'REGCA1' 1", r"model 'REGCA1' at bus 2 .*--converters current"),
+    ("2 'GENROU' 1", "2 'WT3G1' 1", r"model 'WT3G1' at bus 2 .*--converters current"),
+    ("2 'GENROU' 1", "2 'REGCA1' 1", r"REGCA1 has \d+ fields, allowed: 15"),
 ]
 
 

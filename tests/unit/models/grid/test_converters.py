@@ -1,0 +1,85 @@
+"""Converter plants at buses: they rest, their derivatives are exact, limits hold, lanes have their bits."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from plant_shim import BlockShim
+
+from interarea.models.blocks.plant import plant_block
+from interarea.models.case.case import load_case
+from interarea.models.errors import CaseError
+from interarea.models.grid.equilibrium import operating_point
+
+PLANT = {"PLANT": 1, "plant_Kp": 18.0, "plant_Ki": 5.0, "plant_Tfv": 0.05, "plant_Tfltr": 0.02}
+ACTIVE = {"plant_FFLAG": 1, "plant_Kpg": 1.0, "plant_Kig": 0.05, "plant_Tp": 0.25, "plant_Tg": 0.1}
+#: name -> parameters, states
+CONTROLS = {
+    "alone": ({}, 5),
+    "plant": (PLANT | ACTIVE, 11),
+    "voltage": ({"QFLAG": 1, "VFLAG": 1}, 6),
+    "factor": ({"PFFLAG": 1, "PQFLAG": 1, "LVPLSW": 1}, 7),
+    "remote": (PLANT | {"plant_REFFLAG": 1, "plant_VCFLAG": 1, "plant_Xc": 0.05, "plant_Kp": 1.0}, 8),
+}
+
+
+def with_converter(control="alone", base="two-area-thesis", **more):
+    parameters = CONTROLS[control][0] | more
+    row = {"bus": 8, "base_mva": 200.0, "P_mw": 100.0, "Q_mvar": 20.0}
+    row["control"] = {"kind": "wecc_converter"} | parameters
+    return load_case(base).with_changes({"converters": {"pv1": row}})
+
+
+@pytest.mark.parametrize(
+    ("control", "network", "base"),
+    [*((c, "dense", "two-area-thesis") for c in CONTROLS), ("plant", "sparse", "kundur-manual")],
+)
+def test_it_rests_and_the_derivatives_are_those_of_differences(control, network, base):
+    plant = BlockShim(plant_block(with_converter(control, base), network=network))
+    own = np.array([n.startswith("pv1.") for n in plant.state_names])
+    assert own.sum() == CONTROLS[control][1]
+    rates, y = plant.derivatives(plant.x)
+    assert np.max(np.abs(rates)) < 5e-11
+    assert y[plant.output_names.index("pv1.p")] == pytest.approx(1.0, abs=1e-11)
+    assert y[plant.output_names.index("pv1.q")] == pytest.approx(0.2, abs=1e-11)
+    rng = np.random.default_rng(1)
+    n, m = len(plant.x), len(plant.u)
+    x, u = plant.x + 1e-4 * rng.standard_normal(n), 1e-4 * rng.standard_normal(m)
+    vx, vu = rng.standard_normal(n), rng.standard_normal(m)
+    exact, exact_y = plant.directional(vx, vu, x, u)
+
+    def at(h):
+        dx, y = plant.derivatives(x + h * vx, u + h * vu)
+        return np.concatenate([dx, y])
+
+    h = 1e-5
+    slope = (8.0 * (at(h) - at(-h)) - (at(2.0 * h) - at(-2.0 * h))) / (12.0 * h)
+    assert np.max(np.abs(slope[:n] - exact)) < 1e-7 * np.max(np.abs(exact))
+    assert np.max(np.abs(slope[n:] - exact_y)) < 1e-6 * np.max(np.abs(exact_y))
+
+
+def test_its_current_is_that_of_the_closed_form_and_it_stops_at_imax():
+    """Active current is asked beyond Imax; S/V is then Imax, and p_mod does nothing more."""
+    plant = BlockShim(plant_block(with_converter("alone", Imax=0.6), more=["bus8.v"]))
+    u = plant.u.copy()
+    u[plant.input_names.index("pv1_p_mod")] = 1.0
+    _, x, y = plant.run(1.0, 0.002, u)
+    p, q, v = (y[-1, plant.output_names.index(key)] for key in ("pv1.p", "pv1.q", "bus8.v"))
+    states = {n: x[-1, k] for k, n in enumerate(plant.state_names)}
+    assert complex(p, q) == pytest.approx(2.0 * v * complex(states["pv1.ip"], states["pv1.iq"]), abs=1e-12)
+    assert abs(complex(p, q)) / v / 2.0 == pytest.approx(0.6, abs=1e-3)
+    assert p > 1.05  # so it did move
+
+
+@pytest.mark.parametrize(
+    ("more", "says"),
+    [
+        ({"Imax": 0.4}, "is 0.5213 at rest, above"),
+        ({"QMAX": 0.05}, "qlim is 0.1 at rest, above QMAX = 0.05"),
+        ({"PFFLAG": 1, "QFLAG": 1}, "a power factor gives a reactive power, not a voltage"),
+    ],
+)
+def test_what_cannot_rest_is_named(more, says):
+    with pytest.raises(CaseError) as told:
+        operating_point(with_converter("alone", **more))
+    assert says in str(told.value).replace("0.521308", "0.5213")
