@@ -16,6 +16,7 @@ A_k, are known. Buses without a device are eliminated once, as far as that fills
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -36,6 +37,7 @@ ComplexArray = npt.NDArray[np.complex128]
 IntArray = npt.NDArray[np.int64]
 
 _LOAD, _DEVICE = 1, 3  #: kinds of ports
+_INPUT = re.compile(r"_(vs|v_mod|p_mod|q_mod)$")  #: behind the name of the place that an input acts on
 _COUPLING = 7  #: column of the port table: 0 where a device at a bus measures only
 _PAD = -1.0  #: pole of a place where a device has no state; nothing reaches it
 
@@ -228,7 +230,7 @@ class _Blocks:
     C: Matrix
     D: Matrix
     ports: Matrix  # (ports, 2, 2), of machines empty
-    moved: Matrix  # (n,) dx/dt for 1 at every input
+    moved: Matrix  # (2, n) dx/dt for 1 at every first input of a place, and at every second one
 
 
 def _ports_of_devices(ports: Matrix, names: Sequence[str]) -> IntArray:
@@ -263,7 +265,8 @@ def _device_blocks(slopes: Slopes, place: IntArray, local: IntArray, source: Int
         dx, current = slopes.slopes(none_x, none_u, np.full(sources, unit))
         B[:, :, j] = spread(dx)
         D[:, 0, j], D[:, 1, j] = current.real, current.imag
-    dx, _ = slopes.slopes(none_x, np.ones(len(slopes.inputs)), none_v)
+    second = np.array([name.endswith("_q_mod") for name in slopes.inputs], dtype=bool)
+    dx = np.array([slopes.slopes(none_x, np.where(on, 1.0, 0.0), none_v)[0] for on in (~second, second)])
     for M in (A, B, C, D, dx):
         if not np.all(np.isfinite(M)):
             raise SparsePlantError("derivatives of the plant's devices at rest are not all finite")
@@ -273,12 +276,13 @@ def _device_blocks(slopes: Slopes, place: IntArray, local: IntArray, source: Int
 
 
 def _input_matrix(slopes: Slopes, places: Sequence[str], of: IntArray, dx: Matrix) -> Any:
-    """Columns (n, inputs) from what all inputs at once do: each acts on one device."""
+    """Columns (n, inputs) from what inputs of all places at once do: each acts on one device."""
     at = {name: k for k, name in enumerate(places)}
     Bu = sparse.lil_matrix((len(slopes.states), len(slopes.inputs)))
     for j, name in enumerate(slopes.inputs):
-        rows = np.flatnonzero((of == at[name.removesuffix("_vs").removesuffix("_v_mod")]) & (dx != 0.0))
-        Bu[rows, j] = dx[rows]
+        moved = dx[int(name.endswith("_q_mod"))]
+        rows = np.flatnonzero((of == at[_INPUT.sub("", name)]) & (moved != 0.0))
+        Bu[rows, j] = moved[rows]
     return Bu.tocsc()
 
 
