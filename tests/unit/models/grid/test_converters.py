@@ -1,4 +1,4 @@
-"""Converter plants at buses: they rest, their derivatives are exact, limits hold, lanes have their bits."""
+"""Converter plants at buses: they rest, their derivatives are exact, limits hold."""
 
 from __future__ import annotations
 
