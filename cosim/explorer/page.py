@@ -30,7 +30,7 @@ _WEB = Path(__file__).resolve().parent / "web"
 _SHARED = ("settings.js", "verdict.js")  #: by page and worker
 _WORKER = ("eigenvalues.js", "worker.js")
 _AFTER = re.compile(r"\s+/\*[^*]*\*/$")  #: a comment behind code
-_TIGHT = re.compile(r"([:;,]) | (?=\{)")  #: spaces that a style sheet does without
+_TIGHT = re.compile(r"([:;,{}])\s+|\s+(?=\{)")  #: spaces and ends of lines that a style sheet does without
 _PAGE = ("link.js", "plots.js", "diagram.js", "controls.js", "page.js")
 
 
@@ -87,10 +87,10 @@ def explorer_page(
     worker = "\n".join(_compact(_read(name)) for name in _WORKER)
     blob = as_text(packed(data, [worker.encode(), container_wasm(subject.cache, case=subject.case), *parts]))
     name = subject.scenario.title or subject.case.title or subject.case.name
-    text = _read("page.html")
+    text = _compact(_read("page.html"))
     fields = {
         "title": html.escape(f"{name} – interarea explorer"),
-        "style": _TIGHT.sub(r"\1", _compact(_read("style.css"))),
+        "style": _TIGHT.sub(r"\1", _compact(_read("style.css"))).replace(";}", "}"),
         "picture": picture_of(subject),
         "blob": blob,
         "shared": "\n".join(_compact(_read(name)) for name in _SHARED),

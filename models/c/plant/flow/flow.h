@@ -181,7 +181,7 @@ static void see_voltages(const real *memory, const Plan *plan, const num *x, Wor
 {
     for (size_t p = 0; p < plan->n_port; ++p) {
         const real *row = memory + plan->port + P_ROWS * p;
-        if (index_at(row, P_KIND) != PORT_DEVICE || index_at(row, P_SEES) == 0) continue;
+        if (!port_is_device(row) || index_at(row, P_SEES) == 0) continue;
         const size_t at = plan->n_machine + index_at(row, P_SEES) - 1;
         w->vt[at] = num_sqrt(w->port.v_re[p] * w->port.v_re[p] + w->port.v_im[p] * w->port.v_im[p]);
         if (index_at(row, P_COUPLING) != COUPLING_CONVERTER) continue;

@@ -20,8 +20,9 @@ static num bus_shown(const real *memory, const Plan *plan, size_t kind, size_t b
 /* Active or reactive power of the device at port `of`. */
 static num device_shown(const real *memory, const Plan *plan, size_t kind, size_t of, const num *x, const Work *w)
 {
-    num p, q;
-    bus_device_power(memory + plan->port + P_ROWS * of, x, w->port.v_re[of], w->port.v_im[of], &p, &q);
+    const real *row = memory + plan->port + P_ROWS * of;
+    num p = NUM(0.0), q = NUM(0.0);
+    if (port_is_device(row)) bus_device_power(row, x, w->port.v_re[of], w->port.v_im[of], &p, &q);
     return kind == SHOW_DEVICE_P ? p : q;
 }
 

@@ -48,7 +48,7 @@ static inline void port_inject(const real *memory, const Plan *plan, size_t firs
         num *re = e_re + n + p, *im = e_im + n + p;
         if (port_is_load(row)) {
             load_injection(row, w.v_re[p], w.v_im[p], re, im);
-        } else if (!port_is_machine(row)) {
+        } else if (port_is_device(row)) {
             bus_device_injection(row, x, w.v_re[p], w.v_im[p], re, im);
         } else {
             const size_t k = index_at(row, P_DEVICE);

@@ -258,6 +258,17 @@ static inline void plan_offsets(Plan *p)
 static inline int port_is_load(const stored *row) { return index_at(row, P_KIND) == PORT_LOAD; }
 static inline int port_is_machine(const stored *row) { return index_at(row, P_KIND) == PORT_MACHINE; }
 
+/* Of a device at a bus (bus_device.h). A web page of a grid that has none leaves their code out. */
+static inline int port_is_device(const stored *row)
+{
+#ifdef PLANT_NO_BUS_DEVICES
+    (void)row;
+    return 0;
+#else
+    return index_at(row, P_KIND) == PORT_DEVICE;
+#endif
+}
+
 static inline void plan_keep(double *memory, const Plan *p) { memcpy(memory + H_PLAN, p, sizeof *p); }
 
 static inline void plan_of(const stored *memory, Plan *p)

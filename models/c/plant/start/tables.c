@@ -191,7 +191,7 @@ static const double *read_ports(Reader *r, const Plan *plan)
         const double *row = table + P_ROWS * k;
         const size_t below[PORT_KINDS] = { 0, plan->n_load, plan->n_machine, plan->n_at_bus };
         const size_t kind = is_place(row[P_KIND], PORT_KINDS) ? (size_t)row[P_KIND] : 0;
-        if (!is_place(row[P_DEVICE], below[kind]) || (kind == PORT_DEVICE && !device_port_fits(plan, row)))
+        if (!is_place(row[P_DEVICE], below[kind]) || (kind == PORT_DEVICE && !(port_is_device(row) && device_port_fits(plan, row))))
             r->bad = "port.table";
     }
     return table;

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from plant_shim import BlockShim
+from plant_shim import BlockFailure, BlockShim
 
+from interarea.cosim.explorer.wasm import page_sources
 from interarea.design.linear.sparse_plant import sparse_plant
 from interarea.fmu_build.write.device_slopes import DeviceSlopes
 from interarea.models.blocks.plant import plant_block
@@ -88,6 +89,20 @@ def test_what_cannot_rest_is_named(more, says):
     with pytest.raises(CaseError) as told:
         operating_point(with_converter("alone", **more))
     assert says in str(told.value).replace("0.521308", "0.5213")
+
+
+def test_a_page_of_a_grid_without_devices_at_buses_takes_none():
+    """PLANT_NO_BUS_DEVICES leaves their code out: the bits stay, a grid with devices is refused."""
+    case, alone = load_case("two-area-thesis"), ("-DPLANT_NO_BUS_DEVICES",)
+    whole, without = (BlockShim(plant_block(case), flags=flags) for flags in ((), alone))
+    for one, other in zip(
+        whole.derivatives(whole.x + 1e-3), without.derivatives(whole.x + 1e-3), strict=True
+    ):
+        assert np.array_equal(one, other)
+    with pytest.raises(BlockFailure, match=r"port\.table"):
+        BlockShim(plant_block(with_converter("plant")), flags=alone)
+    assert page_sources(load_case("two-area-svc"))["layout.h"].count(b"PLANT_NO_BUS_DEVICES") == 1
+    assert page_sources(case)["layout.h"].count(b"PLANT_NO_BUS_DEVICES") == 2
 
 
 @pytest.mark.parametrize("control", ["plant", "voltage"])

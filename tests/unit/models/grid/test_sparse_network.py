@@ -260,4 +260,4 @@ def test_a_page_of_a_dense_network_has_no_other() -> None:
         for name in ("two-area-thesis", "new-england")
     }
     large = page_sources(mesh(12, 12))["layout.h"]
-    assert all(kept.values()) and not large.startswith(b"#define")
+    assert all(kept.values()) and not large.startswith(b"#define PLANT_DENSE\n")
