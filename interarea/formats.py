@@ -27,11 +27,6 @@ UNITS = {
     "_rad_s": "rad/s",
     "_kv": "kV",
 }
-_TABLES_OF_ROWS = ("buses", "branches", "shunts", "loads", "machines", "svcs", "converters")
-#: row of a table -> the field that the key of the row gives
-_ROW_IDS = {"Bus": "number"} | dict.fromkeys(
-    ("Branch", "Shunt", "Load", "Machine", "Svc", "Converter"), "name"
-)
 #: fields that are no keys of the file
 _INNER = {"scenario": ("folder", "rounded"), "case": ("sources",)}
 
@@ -58,11 +53,13 @@ def schema(kind: str) -> dict[str, Any]:
     for key in _INNER.get(kind, ()):
         properties.pop(key, None)
     if kind == "case":
-        for row, own in _ROW_IDS.items():  # the key of the row is its id
-            del raw["$defs"][row]["properties"][own]
-            raw["$defs"][row]["required"].remove(own)
-        for table in _TABLES_OF_ROWS:
-            row = properties[table].get("items", {})
+        from interarea.models.case.document import ROW_TABLES
+
+        for table, own in ROW_TABLES.items():
+            row = properties[table]["items"]
+            fields = raw["$defs"][row["$ref"].rpartition("/")[2]]
+            del fields["properties"][own]  # the key of the row is its id
+            fields["required"].remove(own)
             beside = {"source": {"type": "string"}, "defaults": {"type": "object"}}
             properties[table] = {"type": "object", "properties": beside, "additionalProperties": _loose(row)}
         properties["change"] = {"type": "object", "description": "a variant: what differs from `base`"}

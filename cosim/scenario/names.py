@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from interarea.design.controllers.bundled import shipped_banks, shipped_names
+from interarea.models.case.document import ROW_TABLES
 from interarea.models.errors import Collected, UserError
 
 from ..errors import ScenarioError, nearest
@@ -30,10 +31,7 @@ def wrong_names(table: Mapping[str, Any], where: str, folder: Path) -> list[str]
     lines, named = list(wrong_controller(table.get("controller"), where, folder)), table.get("case")
     lines += [
         f"{where}: {key}: what a grid holds stands in a case file (`interarea new case`), which case = names"
-        for key in (
-            *("base", "change", "buses", "branches", "shunts", "loads", "machines"),
-            *("svcs", "converters"),
-        )
+        for key in ("base", "change", *ROW_TABLES)
         if key in table
     ]
     if not isinstance(named, str) or not named:

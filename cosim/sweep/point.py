@@ -26,6 +26,7 @@ from typing import Any
 
 from interarea.fmu_build.open.fmu_file import describe
 from interarea.models.case.case import Case
+from interarea.models.case.document import ROW_TABLES
 from interarea.models.case.variants import operating_variant
 
 from ..errors import SweepError, nearest
@@ -38,7 +39,6 @@ from .spec import Path_, Sweep
 from .values import Value
 
 OPERATING = ("tie_flow_mw", "load_scale", "out")
-CASE_TABLES = ("buses", "branches", "shunts", "loads", "machines", "svcs", "converters")
 _ROOTS = (
     *("seed", "case", "controller", "channels", "concentrators", "event", "fmus"),
     *("stop_s", "step_s", "master"),
@@ -266,8 +266,8 @@ def _check_controller(parameters: set[str], rest: Path_, where: str) -> None:
 
 def _check_case(case: Case, rest: Path_, where: str) -> None:
     if len(rest) == 1:
-        _among(where, rest[0], [*OPERATING, *CASE_TABLES], "part of a case")
-        if rest[0] in CASE_TABLES:
+        _among(where, rest[0], [*OPERATING, *ROW_TABLES], "part of a case")
+        if rest[0] in ROW_TABLES:
             raise SweepError(f"{where}: allowed: case.{rest[0]}.ROW.KEY")
     elif rest:
         _check_case_path(case, rest, where)
@@ -275,7 +275,7 @@ def _check_case(case: Case, rest: Path_, where: str) -> None:
 
 def _check_case_path(case: Case, rest: Path_, where: str) -> None:
     document: Any = case.document()
-    _among(where, rest[0], CASE_TABLES, "table of the case")
+    _among(where, rest[0], ROW_TABLES, "table of the case")
     rows = {k: v for k, v in document[rest[0]].items() if isinstance(v, Mapping)}
     _among(where, rest[1], [*rows, "defaults"], f"row of {rest[0]}")
     if len(rest) < 3:

@@ -40,6 +40,7 @@ from ..errors import CaseError, Collected, DeviceError, nearest
 from ..mistakes import mistakes
 from .checks import check_events, check_whole
 from .document import (
+    LATER_TABLES,
     REMOVED,
     ROW_TABLES,
     apply_change,
@@ -72,7 +73,7 @@ class Case(CaseTables):
         del content["swing"]  # how a run is judged, nothing that the grid does
         if self.solver_step_s is None:
             del content["solver_step_s"]
-        for late in ("devices", "svcs", "converters"):  # tables that earlier cases did not have
+        for late in ("devices", *LATER_TABLES):
             if not content[late]:
                 del content[late]
         text = json.dumps(content, sort_keys=True)
@@ -91,7 +92,7 @@ class Case(CaseTables):
         if self.swing is not None:
             raw["swing"] = list(self.swing)
         for table, key in ROW_TABLES.items():
-            if table in ("svcs", "converters") and not getattr(self, table):
+            if table in LATER_TABLES and not getattr(self, table):
                 continue
             short = table != "machines"
             dumped = [

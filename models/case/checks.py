@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 from ..errors import CaseError, nearest
+from .document import ROW_TABLES
 
 if TYPE_CHECKING:  # names are looked up in an `outline` too, before pydantic's models are loaded
     from .schema import Machine
@@ -15,9 +16,9 @@ if TYPE_CHECKING:  # names are looked up in an `outline` too, before pydantic's 
 
 def check_whole(case: CaseTables) -> None:
     """Check ids, references, slack and connection of `case`; ValueError with one line otherwise."""
-    for table in ("buses", "branches", "shunts", "loads", "machines", "svcs", "converters"):
-        ids = [str(row.number if table == "buses" else row.name) for row in getattr(case, table)]
-        twice = [key for key, count in Counter(ids).items() if count > 1]
+    for table, key in ROW_TABLES.items():
+        ids = [str(getattr(row, key)) for row in getattr(case, table)]
+        twice = [one for one, count in Counter(ids).items() if count > 1]
         if twice:
             raise ValueError(f"{table}: id {twice[0]!r} is given twice, allowed: once")
     _check_references(case)

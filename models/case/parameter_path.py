@@ -11,8 +11,8 @@ from pydantic import BaseModel
 
 from ..errors import nearest
 from .case import Case, CaseError
+from .document import ROW_TABLES
 
-_TABLES = ("buses", "branches", "shunts", "loads", "machines", "svcs", "converters")
 _REDISPATCH = "redispatch"
 _REDISPATCH_STEP_MW = 1.0
 
@@ -100,8 +100,10 @@ def _rows(case: Case, table: str) -> dict[str, BaseModel]:
 def _split(case: Case, path: str) -> tuple[str, str, list[str]]:
     """Table, name of the row and field names of a path; names of rows may hold dots."""
     table, _, rest = path.partition(".")
-    if table not in _TABLES:
-        raise CaseError(f"{case.name}: {path}: no table {table!r}; {nearest(table, (*_TABLES, _REDISPATCH))}")
+    if table not in ROW_TABLES:
+        raise CaseError(
+            f"{case.name}: {path}: no table {table!r}; {nearest(table, (*ROW_TABLES, _REDISPATCH))}"
+        )
     rows = _rows(case, table)
     matches = [name for name in rows if rest.startswith(f"{name}.")]
     if not matches:
