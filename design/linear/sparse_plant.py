@@ -16,7 +16,6 @@ A_k, are known. Buses without a device are eliminated once, as far as that fills
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -37,7 +36,6 @@ ComplexArray = npt.NDArray[np.complex128]
 IntArray = npt.NDArray[np.int64]
 
 _LOAD, _DEVICE = 1, 3  #: kinds of ports
-_INPUT = re.compile(r"_(vs|v_mod|p_mod|q_mod)$")  #: behind the name of the place that an input acts on
 _COUPLING = 7  #: column of the port table: 0 where a device at a bus measures only
 _PAD = -1.0  #: pole of a place where a device has no state; nothing reaches it
 
@@ -189,9 +187,9 @@ def sparse_plant(slopes: Slopes, data: Mapping[str, Any], at_bus: ComplexArray) 
     place[of, local] = np.arange(n)
     ports = np.asarray(data["port.table"], dtype=float)
     at_buses = _ports_of_devices(ports, places[len(bus) :])
-    blocks = _device_blocks(
-        slopes, place, local, np.concatenate([np.arange(len(bus)), len(bus) + at_buses]), len(ports)
-    )
+    acts_on = np.asarray(data["input.machine"], dtype=np.int64)
+    source = np.concatenate([np.arange(len(bus)), len(bus) + at_buses])
+    blocks = _device_blocks(slopes, place, local, source, len(ports), acts_on >= K)
     bus = np.concatenate([bus, ports[at_buses, 3].astype(np.int64)])
     buses = _words(data["bus.names"])
     on = np.asarray(data["branch.status"]) > 0
@@ -212,7 +210,7 @@ def sparse_plant(slopes: Slopes, data: Mapping[str, Any], at_bus: ComplexArray) 
         C=blocks.C,
         D=blocks.D,
         bus=bus,
-        Bu=_input_matrix(slopes, places, of, blocks.moved),
+        Bu=_input_matrix(acts_on, K, of, blocks.moved),
         G=_network(data, ends, stamps, np.concatenate([bus, loads]), inner),
         ends=ends,
         stamps=stamps,
@@ -244,10 +242,18 @@ def _ports_of_devices(ports: Matrix, names: Sequence[str]) -> IntArray:
     return np.flatnonzero(devices)
 
 
-def _device_blocks(slopes: Slopes, place: IntArray, local: IntArray, source: IntArray, ports: int) -> _Blocks:
+def _device_blocks(
+    slopes: Slopes,
+    place: IntArray,
+    local: IntArray,
+    source: IntArray,
+    ports: int,
+    second: npt.NDArray[np.bool_],
+) -> _Blocks:
     """One derivative for every place of all devices at once: what one does moves no other.
 
-    source : (K,) the source that is each device's current. ports : how many, the last sources.
+    source : (K,) the source that is each device's current. ports : how many, the last sources. second :
+    which inputs are the second of their place.
     """
     (K, m), n, sources = place.shape, len(slopes.states), slopes.sources
     none_x, none_u, none_v = np.zeros(n), np.zeros(len(slopes.inputs)), np.zeros(sources, dtype=complex)
@@ -265,7 +271,6 @@ def _device_blocks(slopes: Slopes, place: IntArray, local: IntArray, source: Int
         dx, current = slopes.slopes(none_x, none_u, np.full(sources, unit))
         B[:, :, j] = spread(dx)
         D[:, 0, j], D[:, 1, j] = current.real, current.imag
-    second = np.array([name.endswith("_q_mod") for name in slopes.inputs], dtype=bool)
     dx = np.array([slopes.slopes(none_x, np.where(on, 1.0, 0.0), none_v)[0] for on in (~second, second)])
     for M in (A, B, C, D, dx):
         if not np.all(np.isfinite(M)):
@@ -275,14 +280,15 @@ def _device_blocks(slopes: Slopes, place: IntArray, local: IntArray, source: Int
     return _Blocks(A, B, C, D[source], D[sources - ports :], dx)
 
 
-def _input_matrix(slopes: Slopes, places: Sequence[str], of: IntArray, dx: Matrix) -> Any:
-    """Columns (n, inputs) from what inputs of all places at once do: each acts on one device."""
-    at = {name: k for k, name in enumerate(places)}
-    Bu = sparse.lil_matrix((len(slopes.states), len(slopes.inputs)))
-    for j, name in enumerate(slopes.inputs):
-        moved = dx[int(name.endswith("_q_mod"))]
-        rows = np.flatnonzero((of == at[_INPUT.sub("", name)]) & (moved != 0.0))
-        Bu[rows, j] = moved[rows]
+def _input_matrix(acts_on: IntArray, K: int, of: IntArray, dx: Matrix) -> Any:
+    """Columns (n, inputs) from what inputs of all places at once do: each acts on one of the K devices.
+
+    acts_on : place of each input, or K more where it is the second one there.
+    """
+    Bu = sparse.lil_matrix((len(of), len(acts_on)))
+    for j, (second, at) in enumerate(zip(*divmod(acts_on, K), strict=True)):
+        rows = np.flatnonzero((of == at) & (dx[second] != 0.0))
+        Bu[rows, j] = dx[second, rows]
     return Bu.tocsc()
 
 

@@ -76,23 +76,22 @@ def state_variables(point: OperatingPoint) -> list[Variable]:
     return states + derivatives
 
 
+_ADDED_TO = {"v_mod": "the voltage set-point", "p_mod": "the active power", "q_mod": "the reactive reference"}
+
+
 def input_variables(point: OperatingPoint) -> list[Variable]:
     """Return the inputs, one for each exciter and each SVC or STATCOM, two for each converter."""
-    of = {"v_mod": "the voltage set-point", "p_mod": "the active power", "q_mod": "the reactive reference"}
-    words = {
-        name: f"added to {of[name[-5:]]} of {name[:-6]}, pu of its base"
-        for name in point.input_names
-        if name[-5:] in of
-    }
     return [
         Variable(
-            name,
+            given.name,
             "input",
-            words.get(name, "added at the exciter's summing point"),
+            "added at the exciter's summing point"
+            if given.word == "vs"
+            else f"added to {_ADDED_TO[given.word]} of {given.row}, pu of its base",
             unit="pu",
             start=0.0,
         )
-        for name in point.input_names
+        for given in point.controls.inputs
     ]
 
 

@@ -282,15 +282,15 @@ class Writer(ExpressionWriter):
         u = self.times(e.K, e.u)
         if low is None and high is None:
             if not e.is_limited:
-                return self.standing(e, f"({u} - x_{x}) * {per}")
+                return self.unless_frozen(e, f"({u} - x_{x}) * {per}")
             call = f"limiter_lag_rate(&l, {self.first[name]}u, {u}, x_{x}, low_{name}, high_{name})"
-            return self.standing(e, f"{call} * {per}")
+            return self.unless_frozen(e, f"{call} * {per}")
         slowest = self.num(number(-1e30) if low is None else low)
         fastest = self.num(number(1e30) if high is None else high)
         rate = f"{self.deciding('clamp', 2)}({u} - x_{x}) * {per}, {slowest}, {fastest})"
-        return self.held(e, self.standing(e, rate), x, per)
+        return self.held(e, self.unless_frozen(e, rate), x, per)
 
-    def standing(self, e: Element, rate: str) -> str:
+    def unless_frozen(self, e: Element, rate: str) -> str:
         """C of a rate with the option freeze."""
         freeze = e.line.option("freeze")
         return rate if freeze is None else f"{rate} * (1.0 - {self.num(freeze)})"
@@ -310,7 +310,7 @@ class Writer(ExpressionWriter):
         per: Node = ONE if T == ONE else Node("/", (ONE, T))
         gain = per if e.K == ONE else Node("*", (e.K, per))
         rate = self.num(e.u) if gain == ONE else f"{self.constant(gain)} * {self.num(e.u)}"
-        return self.held(e, self.standing(e, rate), x, self.real(per))
+        return self.held(e, self.unless_frozen(e, rate), x, self.real(per))
 
     def real(self, node: Node) -> str:
         """C of a constant as a `real`, which a literal is not in lanes."""
@@ -357,7 +357,7 @@ class Writer(ExpressionWriter):
         error = self.num(e.u)
         if feedback != ZERO:
             error = f"({error} - {self.num(feedback)} * s_{name})"
-        rate = self.standing(e, f"{self.constant(e.args[2])} * {error}")
+        rate = self.unless_frozen(e, f"{self.constant(e.args[2])} * {error}")
         if not e.is_limited:
             return rate
         call = f"limiter_pi_rate(&l, {self.first[name] + 2}u, "

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from ..case.case import Case, CaseError
 from ..case.control_schema import Control, control_model, control_numbers
 from ..devices.c_expression import given_rows
-from ..devices.language.device import AT_BUS, KINDS, OF_MACHINE
+from ..devices.language.device import AT_BUS, KINDS, OF_MACHINE, OF_SVC
 from ..devices.language.expression import Node
 from ..devices.language.structure import Model
 from ..devices.rest import BEYOND, RestPoint, rest_of
@@ -20,13 +20,8 @@ from .coupling import BusPoint, Coupling, coupling_of, model_at_bus
 from .machine_tables import NETWORK, MachinePoint, State
 
 SHORTEST_S = 1e-6  #: least value a time constant may be set to
-NUMBERED = (
-    "exciter",
-    "stabilizer",
-    "compensator",
-    "governor",
-    *AT_BUS,
-)  #: order of states, inputs and parameters
+#: order of states, inputs and parameters
+NUMBERED = ("exciter", "stabilizer", "compensator", "governor", *AT_BUS)
 #: what a device sees at the operating point, in the order of R_* of plant/numbers/layout.h
 SEEN = ("vt", "vd", "vq", "id", "iq", "pe", "ifd", "vc", "vs", "pm", "efd", "out")
 
@@ -147,11 +142,17 @@ class Group:
 
 @dataclass(frozen=True)
 class Given:
-    """An input of the plant: its name, and the place that it acts on; that many more than there are: on the
-    reactive reference."""
+    """An input of the plant: `word` of a row acts at `place`; as many more as there are: on the second input
+    of that place, the reactive reference."""
 
-    name: str
+    row: str  #: name of the machine, or of the device at a bus
+    word: str  #: vs, v_mod, p_mod or q_mod
     place: int
+
+    @property
+    def name(self) -> str:
+        """Name of the input."""
+        return f"{self.row}_{self.word}"
 
 
 @dataclass(frozen=True)
@@ -173,11 +174,11 @@ class Controls:
         result: list[Given] = []
         for d in self.devices:
             if d.word == "exciter":
-                result.append(Given(f"{d.prefix.removesuffix('.exciter')}_vs", d.place))
+                result.append(Given(d.prefix.removesuffix(".exciter"), "vs", d.place))
             elif d.word == "converter":
-                result += [Given(f"{d.prefix}_p_mod", d.place), Given(f"{d.prefix}_q_mod", places + d.place)]
+                result += [Given(d.prefix, "p_mod", d.place), Given(d.prefix, "q_mod", places + d.place)]
             elif d.word in AT_BUS:
-                result.append(Given(f"{d.prefix}_v_mod", d.place))
+                result.append(Given(d.prefix, "v_mod", d.place))
         return tuple(result)
 
     @property
@@ -252,6 +253,11 @@ def row_name(case: Case, place: int, word: str) -> str:
     )
 
 
+def table_of(kind: str) -> str:
+    """Return the table of a case whose rows have devices of a kind."""
+    return "machines" if kind in OF_MACHINE else "svcs" if kind in OF_SVC else "converters"
+
+
 def rests_of(
     case: Case, points: tuple[MachinePoint, ...], buses: tuple[BusPoint, ...] = (), *, room: float = BEYOND
 ) -> tuple[npt.NDArray[np.float64], list[tuple[int, str, RestPoint | Unrest]]]:
@@ -278,7 +284,7 @@ def rests_of(
         model = model_at_bus(row_at, own)
         kind, share = model.device.kind, row_at.base_mva / case.base_mva
         output, given = bus.output(kind, share), bus.given(kind, share)
-        who = f"{case.name}: {'converters' if kind == 'converter' else 'svcs'}.{row_at.name}.control"
+        who = f"{case.name}: {table_of(kind)}.{row_at.name}.control"
         numbers = control_numbers(model, row_at.control, row_at.base_mva)
         rest = _rest_of(model, numbers, given, output, who, row_at.name, "control", room)
         rests.append((k, kind, rest))

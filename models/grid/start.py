@@ -9,7 +9,7 @@ from ..devices.instance import Margin
 from ..devices.language.device import NO_LIMIT
 from ..devices.release import released
 from ..errors import DeviceError
-from .control_tables import Unrest, rests_of, row_name
+from .control_tables import Unrest, rests_of, row_name, table_of
 from .equilibrium import machine_points
 from .powerflow import PowerFlow, solve_powerflow
 
@@ -128,9 +128,7 @@ def release_limits(case: Case, power_flow: PowerFlow | None = None) -> tuple[Cas
             if (k, word) in resting:  # at a limit that no parameter moves it stays
                 continue
             new = released(item.model, item.numbers, item.seen, item.output, item.who)
-        of = {"converter": "converters", "svc": "svcs", "statcom": "svcs"}
-        table = of.get(item.model.device.kind, "machines")
-        change.setdefault(table, {}).setdefault(item.row, {})[item.word] = new
+        change.setdefault(table_of(item.model.device.kind), {}).setdefault(item.row, {})[item.word] = new
         for name, value in new.items():
             messages.append(f"{item.row}.{item.word}.{name}: {item.numbers[name]:g} -> {value:.6g}")
     if not change:

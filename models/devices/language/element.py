@@ -144,7 +144,7 @@ class Element:
         """Value of K u."""
         return evaluate(self.K, values) * evaluate(self.u, values)
 
-    def standing(self, rate: Any, values: Values) -> Any:
+    def unless_frozen(self, rate: Any, values: Values) -> Any:
         """`rate`, or less of it where the option freeze says so: 0 where that is 1."""
         freeze = self.line.option("freeze")
         return rate if freeze is None else rate * (1.0 - evaluate(freeze, values))

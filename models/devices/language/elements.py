@@ -40,12 +40,12 @@ class Lag(Element):
             above = real_part(u) > real_part(high) and real_part(y) >= real_part(high)
             below = real_part(u) < real_part(low) and real_part(y) <= real_part(low)
             rate = ((high if above else low if below else u) - y) / T
-            return {self.line.name: self.standing(rate, values)}
+            return {self.line.name: self.unless_frozen(rate, values)}
         slowest = evaluate(self.option("rate_min", number(-NO_LIMIT)), values)
         fastest = evaluate(self.option("rate_max", number(NO_LIMIT)), values)
         rate = (u - y) / T
         rate = slowest if real_part(rate) < slowest else fastest if real_part(rate) > fastest else rate
-        return {self.line.name: _held(self.standing(rate, values), y, low, high, T)}
+        return {self.line.name: _held(self.unless_frozen(rate, values), y, low, high, T)}
 
 
 def _held(rate: Any, y: Any, low: Any, high: Any, T: float) -> Any:
@@ -80,7 +80,7 @@ class Integrator(Element):
     def rates(self, x: Values, values: Values, on: On) -> dict[str, Any]:
         y, T = x[self.line.name], self.time(self.T, values)
         low, high = self.bounds(values)
-        return {self.line.name: _held(self.standing(self.input(values) / T, values), y, low, high, T)}
+        return {self.line.name: _held(self.unless_frozen(self.input(values) / T, values), y, low, high, T)}
 
 
 class LeadLag(Element):
@@ -221,7 +221,7 @@ class Pi(Element):
         whole, (low, high) = self._whole(x, values, on), self.bounds(values)
         feedback = evaluate(self.parts[1], values)
         error = evaluate(self.u, values) - feedback * values[self.line.name]
-        rate = self.standing(evaluate(self.args[2], values) * error, values)
+        rate = self.unless_frozen(evaluate(self.args[2], values) * error, values)
         outwards = (real_part(whole) > real_part(high) and real_part(rate) > 0.0) or (
             real_part(whole) < real_part(low) and real_part(rate) < 0.0
         )
