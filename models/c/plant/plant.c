@@ -87,14 +87,12 @@ static BlockStatus unsolved(const Block *b, size_t stuck, double t, BlockMessage
     if (!prepared(b, &plan, &net))
         return plant_fail(message, BLOCK_ERROR, "plant: the network has no solution at t = %.9g s", t);
     const double *row = b->memory + plan.port + P_ROWS * (stuck - 1);
-    const size_t k = index_at(row, P_DEVICE);
-    const int load = port_is_load(row), machine = port_is_machine(row);
-    const size_t bus = load ? (size_t)net.load_bus[k] : machine ? (size_t)net.machine_bus[k] : index_at(row, P_BUS);
+    const char *const what = port_is_load(row) ? "a load that is not constant impedance"
+                           : port_is_machine(row) ? "the saturation of a machine" : "a device at the bus";
     return plant_fail(message, BLOCK_DISCARD,
                       "network: no voltage found at bus %s for %s at t = %.9g s (Newton's method, residual "
                       "still above 1e-11 pu); the voltage there has collapsed or a state is not finite",
-                      plant_name(net.bus_names, bus, name), load ? "a load that is not constant impedance" : machine
-                      ? "the saturation of a machine" : "a device at the bus", t);
+                      plant_name(net.bus_names, port_bus(&net, row), name), what, t);
 }
 
 static BlockStatus not_started(BlockMessage *message)

@@ -25,13 +25,6 @@ static void add(double *a, size_t n, size_t row, size_t col, double re, double i
     a[2 * (row * n + col) + 1] += im;
 }
 
-/* Bus of a port; a machine's lies behind its air gap. */
-static size_t port_bus(const double *memory, const Plan *plan, const Network *net, const double *row)
-{
-    if (port_is_load(row)) return (size_t)net->load_bus[index_at(row, P_DEVICE)];
-    return port_is_machine(row) ? index_at(memory + plan->machine_bus, index_at(row, P_DEVICE)) : index_at(row, P_BUS);
-}
-
 /* Voltages of all buses for each source, by column of `v`: an EMF of 1, a current
  * of 1 at a port at a bus, or at a machine's port an EMF of j (Xd2 - Xl). */
 static size_t source_at(const double *memory, const Plan *plan, const Network *net, size_t source,
@@ -44,7 +37,7 @@ static size_t source_at(const double *memory, const Plan *plan, const Network *n
     if (source >= plan->n_machine && !port_is_machine(row)) {
         *re = 1.0;
         *im = 0.0;
-        return port_bus(memory, plan, net, row);
+        return port_bus(net, row);
     }
     if (source >= plan->n_machine) *machine = index_at(row, P_DEVICE);
     network_norton(memory, plan, *machine, &g, &b);
@@ -74,7 +67,7 @@ static void port_row(double *memory, const Plan *plan, const Network *net, size_
     for (size_t p = 0; p < plan->n_port; ++p) {
         const double *row = memory + plan->port + P_ROWS * p;
         const size_t k = index_at(row, P_DEVICE), at = source * plan->n_port + p;
-        const size_t bus = port_bus(memory, plan, net, row);
+        const size_t bus = port_bus(net, row);
         double re = v[2 * bus], im = v[2 * bus + 1];
         if (port_is_machine(row)) {
             const double r = table[M_RA * n + k], xl = table[M_XL * n + k], x = table[M_XD2 * n + k];
@@ -215,7 +208,7 @@ static void silence_ports(double *memory, const Plan *plan, const Network *net, 
 {
     for (size_t k = 0; k < plan->n_port; ++k) {
         double *row = memory + plan->port + P_ROWS * k;
-        if (port_is_machine(row) || !(dead[port_bus(memory, plan, net, row)] > 0.5)) continue;
+        if (port_is_machine(row) || !(dead[port_bus(net, row)] > 0.5)) continue;
         if (port_is_load(row)) row[P_P] = row[P_Q] = 0.0;
         else row[P_ON] = 0.0;
     }

@@ -29,25 +29,26 @@ static inline void bus_device_injection(const real *row, const num *x, num v_re,
 {
     const size_t coupling = index_at(row, P_COUPLING);
     const flag on = num_above(NUM(row[P_ON]), NUM(0.5));
-    num y = NUM(0.0);
+    num along = NUM(0.0), across = NUM(0.0);
 
-    if (coupling != COUPLING_NONE) y = num_pick(on, row[P_SCALE] * x[index_at(row, P_STATE)] + row[P_BIAS], y);
+    if (coupling != COUPLING_NONE) {
+        const num y = row[P_SCALE] * x[index_at(row, P_STATE)] + row[P_BIAS];
+        across = -y;
+        if (coupling == COUPLING_CONVERTER) {
+            const num v = num_sqrt(v_re * v_re + v_im * v_im);
+            converter_current(row, y, row[P_SCALE] * x[index_at(row, P_STATE_Q)], v, &along, &across);
+        }
+        along = num_pick(on, along, NUM(0.0));
+        across = num_pick(on, across, NUM(0.0));
+    }
+    *i_re = along * v_re - across * v_im;
+    *i_im = along * v_im + across * v_re;
     if (coupling == COUPLING_CURRENT || coupling == COUPLING_CONVERTER) {
         const num v = num_sqrt(v_re * v_re + v_im * v_im), low = NUM(row[P_LOW]);
         const num u = num_pick(num_above(v, low), v, low);
-        if (coupling == COUPLING_CONVERTER) {
-            const num iq = num_pick(on, row[P_SCALE] * x[index_at(row, P_STATE_Q)], NUM(0.0));
-            num a, b;
-            converter_current(row, y, iq, v, &a, &b);
-            b = num_pick(on, b, NUM(0.0));
-            *i_re = num_ratio(a * v_re - b * v_im, u);
-            *i_im = num_ratio(a * v_im + b * v_re, u);
-            return;
-        }
-        y = num_ratio(y, u);
+        *i_re = num_ratio(*i_re, u);
+        *i_im = num_ratio(*i_im, u);
     }
-    *i_re = y * v_im;
-    *i_im = -(y * v_re);
 }
 
 /* Active and reactive power into the network, system base. */
@@ -60,13 +61,13 @@ static inline void bus_device_power(const real *row, const num *x, num v_re, num
 }
 
 #if !defined PLANT_TANGENT && !defined PLANT_LANES
-/* d (i_re, i_im) / d (v_re, v_im) of c V, c = (a + j b)/u with slope by |V|, row by row. */
-static inline void bus_device_turned(double a, double b, double a_slope, double b_slope, double v_re, double v_im,
-                                     double low, double d[4])
+/* d (i_re, i_im) / d (v_re, v_im), row by row, of I = (along + j across) V/u, whose parts may have slopes by |V|. */
+static inline void bus_device_turned(double along, double across, double along_slope, double across_slope, double v_re,
+                                     double v_im, double low, double d[4])
 {
     const double v = sqrt(v_re * v_re + v_im * v_im), u = v > low ? v : low, falls = v > low ? 1.0 / u : 0.0;
-    const double re = a / u, im = b / u, unit_re = v > 0.0 ? v_re / v : 1.0, unit_im = v > 0.0 ? v_im / v : 0.0;
-    const double re_slope = a_slope / u - re * falls, im_slope = b_slope / u - im * falls;
+    const double re = along / u, im = across / u, unit_re = v > 0.0 ? v_re / v : 1.0, unit_im = v > 0.0 ? v_im / v : 0.0;
+    const double re_slope = along_slope / u - re * falls, im_slope = across_slope / u - im * falls;
     const double x = re_slope * v_re - im_slope * v_im, y = re_slope * v_im + im_slope * v_re;
 
     d[0] = re + x * unit_re;
@@ -79,11 +80,11 @@ static inline void converter_slope(const double *row, double ip, double iq, doub
 {
     const double v = sqrt(v_re * v_re + v_im * v_im), per = 1.0 / (row[P_FULL] - row[P_ZERO]);
     const int rises = v > row[P_ZERO] && v < row[P_FULL], taken = v > row[P_HIGH];
-    double a, b;
+    double along, across;
 
-    converter_current(row, ip, iq, v, &a, &b);
-    bus_device_turned(a, b, rises ? ip * per : 0.0, taken && -b > row[P_LEAST] && row[P_TAKEN] > 0.0 ? row[P_TAKEN] : 0.0,
-                      v_re, v_im, row[P_LOW], d);
+    converter_current(row, ip, iq, v, &along, &across);
+    bus_device_turned(along, across, rises ? ip * per : 0.0,
+                      taken && -across > row[P_LEAST] && row[P_TAKEN] > 0.0 ? row[P_TAKEN] : 0.0, v_re, v_im, row[P_LOW], d);
 }
 
 /* d (i_re, i_im) / d (v_re, v_im), row by row. x: of a complex step two numbers each, hence the stride; null: at rest. */
@@ -91,28 +92,19 @@ static inline void bus_device_slope(const double *row, const double *x, size_t s
                                     double d[4])
 {
     const size_t coupling = index_at(row, P_COUPLING);
-    double y = x == NULL ? row[P_REST] : row[P_SCALE] * x[stride * index_at(row, P_STATE)] + row[P_BIAS];
-    const double v = sqrt(v_re * v_re + v_im * v_im), low = row[P_LOW];
-    double along = 0.0;   /* how y/u falls with |V|, over |V| */
 
-    if (coupling == COUPLING_NONE || !(row[P_ON] > 0.5)) y = 0.0;
+    d[0] = d[1] = d[2] = d[3] = 0.0;
+    if (coupling == COUPLING_NONE || !(row[P_ON] > 0.5)) return;
+    const double y = x == NULL ? row[P_REST] : row[P_SCALE] * x[stride * index_at(row, P_STATE)] + row[P_BIAS];
     if (coupling == COUPLING_CONVERTER) {
-        double iq = x == NULL ? row[P_REST_Q] : row[P_SCALE] * x[stride * index_at(row, P_STATE_Q)];
-        if (!(row[P_ON] > 0.5)) {
-            d[0] = d[1] = d[2] = d[3] = 0.0;
-            return;
-        }
+        const double iq = x == NULL ? row[P_REST_Q] : row[P_SCALE] * x[stride * index_at(row, P_STATE_Q)];
         converter_slope(row, y, iq, v_re, v_im, d);
-        return;
+    } else if (coupling == COUPLING_CURRENT) {
+        bus_device_turned(0.0, -y, 0.0, 0.0, v_re, v_im, row[P_LOW], d);
+    } else {
+        d[1] = y;
+        d[2] = -y;
     }
-    if (coupling == COUPLING_CURRENT) {
-        if (v > low) along = -y / (v * v * v);
-        y /= v > low ? v : low;
-    }
-    d[0] = along * v_re * v_im;
-    d[1] = y + along * v_im * v_im;
-    d[2] = -(y + along * v_re * v_re);
-    d[3] = -along * v_re * v_im;
 }
 #endif
 #endif

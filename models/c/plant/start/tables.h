@@ -13,6 +13,15 @@ typedef struct {
     const char *bus_names, *branch_names, *machine_names;  /* one a line */
 } Network;
 
+/* Bus of a port; a machine's lies behind its air gap. */
+static inline size_t port_bus(const Network *net, const double *row)
+{
+    const size_t of = index_at(row, P_DEVICE);
+
+    if (port_is_load(row)) return (size_t)net->load_bus[of];
+    return port_is_machine(row) ? (size_t)net->machine_bus[of] : index_at(row, P_BUS);
+}
+
 /* plant_read: the counts and the network; plant_check: every other array, by
  * its length and what it refers to; plant_tables: numbers and parameters into memory. */
 BlockStatus plant_read(const Record *record, const BlockLayout *layout, Plan *plan, Network *network,
