@@ -214,6 +214,26 @@ class BlockShim:
         whole = np.array([np.concatenate(c) for c in columns]).T
         return whole[:n, :n], whole[:n, n:], whole[n:, :n], whole[n:, n:]
 
+    def directional_errors(self, spread: float, h: float) -> tuple[float, float]:
+        """Return how far (dx, y) of `directional` is from differences of fourth order, over its largest.
+
+        About random states and inputs within `spread` of the start, in a random direction; h : their step.
+        """
+        rng, n, m = np.random.default_rng(1), len(self.x), len(self.u)
+        x, u = self.x + spread * rng.standard_normal(n), spread * rng.standard_normal(m)
+        vx, vu = rng.standard_normal(n), rng.standard_normal(m)
+
+        def at(k: float) -> np.ndarray:
+            return np.concatenate(self.derivatives(x + k * h * vx, u + k * h * vu))
+
+        slope = (8.0 * (at(1.0) - at(-1.0)) - (at(2.0) - at(-2.0))) / (12.0 * h)
+        exact = np.concatenate(self.directional(vx, vu, x, u))
+        off = np.abs(slope - exact)
+        return (
+            float(off[:n].max() / np.abs(exact[:n]).max()),
+            float(off[n:].max() / np.abs(exact[n:]).max()),
+        )
+
     def next_event(self, t: float) -> float:
         """block_next_event."""
         return float(self._c.block_next_event(ctypes.byref(self._block), ctypes.c_double(t)))
