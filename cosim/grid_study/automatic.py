@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from interarea.design.certificates.mode_changes import CALM
+from interarea.design.certificates.mode_changes import ModeChange
 from interarea.design.controllers.controller import Controller
 from interarea.design.errors import InfeasibleDesign
 from interarea.fmu_build.write.cache import cached_json, code_hash, content_hash
@@ -22,7 +22,7 @@ from ..designs.design_file import DESIGN_STEPS, DesignTable, run_design
 from ..errors import machine_error
 from .choices import Choices
 from .clock import Clock
-from .faults import judged_with_faults
+from .faults import falls_short, judged_with_faults
 from .proposal import Findings, Proposal, find, propose
 from .weak_modes import WeakModes, modes_of_grid, weak_modes
 
@@ -161,12 +161,7 @@ def _with_faults(
 def _better(design: GridDesign) -> tuple[int, float, int]:
     """Return what decides between designs: unstable loops, what is missed of what is asked, lost faults."""
     certificate, asked = design.certificate, design.proposal.table.ask
-    unstable = sum(not row["stable"] for row in certificate["rows"])
+    unstable, short = falls_short(certificate, asked.inter_area, asked.worst_swing)
     lost = len((certificate["acceptance"] or {}).get("lost", ()))
-    taken = [min(mode["without"], CALM) - mode["least"] for mode in certificate["modes"]]
-    reached = min(
-        certificate["inter_area"] - asked.inter_area,
-        certificate["worst_swing"] - asked.worst_swing,
-        asked.given_away - max(taken, default=0.0),
-    )
-    return -unstable, min(reached, 0.0), -lost
+    taken = max((ModeChange(**mode).taken for mode in certificate["modes"]), default=0.0)
+    return -unstable, min(short, asked.given_away - taken), -lost

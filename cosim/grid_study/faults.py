@@ -60,22 +60,32 @@ def judged_with_faults(
         if not _violations(parts[limit_pu]) or clock.over(stage):
             break
     limit_pu = max(parts, key=lambda one: (len(parts[one]), -_violations(parts[one])))
-    found, without_time = parts[limit_pu], []
+    judged, without_time = parts[limit_pu], []
     for at, point in enumerate(faults.cases):
         progress((len(LIMITS_PU) + at / len(faults.cases)) / (len(LIMITS_PU) + 1))
-        if point not in found and clock.over(stage):
+        if point not in judged and clock.over(stage):
             without_time.append(point)
             continue
-        if point not in found:
-            found[point] = faults.run(limit_pu, point)
+        if point not in judged:
+            judged[point] = faults.run(limit_pu, point)
         if not clock.over(stage):
-            found[point] = replace(found[point], clearing=faults.clearing(limit_pu, point))
+            judged[point] = replace(judged[point], clearing=faults.clearing(limit_pu, point))
         else:
             clock.leave(f"clearing times of {table.name} at {point}")
     if without_time:
         clock.leave(f"faults of {table.name} at {', '.join(without_time)}")
     progress(1.0)
-    return _judged(table, replace(controller, limit_pu=limit_pu), joined(list(found.values())), without_time)
+    return _judged(table, replace(controller, limit_pu=limit_pu), joined(list(judged.values())), without_time)
+
+
+def falls_short(certificate: Mapping[str, Any], inter_area: float, worst_swing: float) -> tuple[int, float]:
+    """Return how many loops of a certificate are unstable, and by how much it misses two damping ratios.
+
+    The latter is 0 where both are reached, else below 0.
+    """
+    unstable = sum(not row["stable"] for row in certificate["rows"])
+    short = min(certificate["inter_area"] - inter_area, certificate["worst_swing"] - worst_swing)
+    return unstable, min(short, 0.0)
 
 
 @dataclass(frozen=True)

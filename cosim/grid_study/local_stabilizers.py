@@ -27,7 +27,7 @@ from ..designs.design_file import DesignTable, certify, design_of, judged_by
 from ..designs.family import FamilyPlant
 from .choices import WEAK
 from .clock import Clock
-from .faults import judged_with_faults
+from .faults import falls_short, judged_with_faults
 from .weak_modes import WeakModes
 
 MOST = 6  #: machines that get one
@@ -94,21 +94,21 @@ def tuned_stabilizers(weak: WeakModes) -> list[Stabilizer]:
     plant = weak.plant
     modes = sorted((*weak.targets, *weak.others), key=lambda m: m.damping_ratio)
     modes = [m for m in modes if m.damping_ratio < WEAK]
-    found: dict[str, Stabilizer] = {}
+    chosen: dict[str, Stabilizer] = {}
     for mode in (mode for _ in range(MOST) for mode in modes):
         rows: list[Stabilizer] = []
         for k, machine in enumerate(plant.machines):
-            if machine in found or f"{machine}_vs" not in plant.inputs:
+            if machine in chosen or f"{machine}_vs" not in plant.inputs:
                 continue
             b = plant.Bu[:, [plant.inputs.index(f"{machine}_vs")]].toarray()[:, 0]
             residue = complex((mode.left @ b) * mode.right[plant.speed[k]])
             one = tuned_for(mode, machine, residue) if residue else None
             if one is not None and one.K * ADDED[0] <= MOST_GAIN:
                 rows.append(one)
-        if rows and len(found) < MOST:
+        if rows and len(chosen) < MOST:
             best = min(rows, key=lambda one: one.K)
-            found[best.machine] = best
-    return list(found.values())
+            chosen[best.machine] = best
+    return list(chosen.values())
 
 
 def as_controller(
@@ -155,21 +155,21 @@ def local_rival(
     name = f"{wide.name}_local"
     key = content_hash(weak.case.hash, [asdict(one) for one in units], code_hash(__name__))
 
-    def found() -> list[dict[str, Any]]:
+    def tuned() -> list[dict[str, Any]]:
         return [asdict(one) for one in _with_gains(weak, units, clock, cache)]
 
-    stabilizers = [Stabilizer(**one) for one in cached_json(cache, "grid-local", key, found)]
+    stabilizers = [Stabilizer(**one) for one in cached_json(cache, "grid-local", key, tuned)]
     progress(0.3)
     controller = as_controller(stabilizers, weak.case.omega_b, name, wide.limit_pu)
     table = _table(wide, stabilizers, name)
-    found_key = content_hash(
+    judged_by_key = content_hash(
         table.grid.hash, table.model_dump(mode="json"), controller.as_dict(), code_hash(certify.__module__)
     )
 
     def made() -> dict[str, Any]:
         return judged_by(table, controller, certify(table, controller, cache)).as_dict()
 
-    judged = Controller.from_dict(cached_json(cache, "grid-local-certificate", found_key, made))
+    judged = Controller.from_dict(cached_json(cache, "grid-local-certificate", judged_by_key, made))
     progress(0.5)
     return judged_with_faults(
         table, judged, cache, clock, stage=STAGE, progress=lambda share: progress(0.5 + 0.5 * share)
@@ -216,10 +216,8 @@ def _reached(controller: Controller) -> str:
 
 
 def _short(controller: Controller, asked: tuple[float, float]) -> tuple[bool, float]:
-    certificate = controller.certificate or {}
-    inter_area, worst_swing = asked
-    short = min(certificate["inter_area"] - inter_area, certificate["worst_swing"] - worst_swing, 0.0)
-    return all(row["stable"] for row in certificate["rows"]), short
+    unstable, short = falls_short(controller.certificate or {}, *asked)
+    return unstable == 0, short
 
 
 def _table(wide: DesignTable, stabilizers: Sequence[Stabilizer], name: str) -> DesignTable:

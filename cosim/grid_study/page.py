@@ -39,6 +39,7 @@ def write_page(study: Mapping[str, Any], modes: Sequence[Mode], shapes: Sequence
     """
     environment = page_environment(Path(__file__).parent)
     environment.filters |= {"plain": plain, "ratio": _ratio}
+    environment.filters["sentence"] = sentence
     text = environment.get_template("grid_study.html.j2").render(
         study=study,
         headline=headline(study),
@@ -51,6 +52,15 @@ def write_page(study: Mapping[str, Any], modes: Sequence[Mode], shapes: Sequence
         faults=_faults(study),
     )
     return write_whole(path, text.encode("utf-8"))
+
+
+def sentence(text: str) -> str:
+    """Return words as a sentence.
+
+    >>> sentence("do not build the link from G2")
+    'Do not build the link from G2.'
+    """
+    return f"{text[:1].upper()}{text[1:]}."
 
 
 def headline(study: Mapping[str, Any]) -> tuple[str, ...]:
@@ -80,14 +90,11 @@ def headline(study: Mapping[str, Any]) -> tuple[str, ...]:
             lines.append(f"While nothing is lost {most_taken(certificate['modes'])}.")
         if missed := len(certificate["violations"]):
             lines.append(f"It misses {missed} of what was asked, first: {certificate['violations'][0]}.")
-        sentence = in_words(certificate["acceptance"])
-        lines.append(f"{sentence[:1].upper()}{sentence[1:]}.")
+        lines.append(sentence(in_words(certificate["acceptance"])))
     if "worth" in study:
-        sentence = study["worth"]["sentence"]
-        lines.append(f"{sentence[:1].upper()}{sentence[1:]}.")
+        lines.append(sentence(study["worth"]["sentence"]))
     if "local" in study:
-        sentence = study["local"]["sentence"]
-        lines.append(f"{sentence[:1].upper()}{sentence[1:]}.")
+        lines.append(sentence(study["local"]["sentence"]))
     if study["problem"]:
         lines.append(f"It stops here: {study['problem']}.")
     return tuple(lines)

@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 
 from interarea.design.errors import InfeasibleDesign
-from interarea.design.modes.loop_choice import choose_loops
 from interarea.design.modes.loop_points import LoopSet
 from interarea.design.modes.modes import Mode
 from interarea.design.robust.operating_points import inter_area_band
@@ -33,11 +32,10 @@ from ..designs.swing_sensitivity import STEP_S, first_swing
 from .choices import WEAK
 from .clock import GUESS, SEARCH, Clock
 from .operating_points import TriedPoint, chosen_points, tried_points
-from .weak_modes import WeakModes, in_words
+from .weak_modes import SETS, WeakModes, in_words
 
 STEPS = ("loops", "operating points")  #: of `find`
 
-SETS = 2  #: of loops that are designed shortly for each number of actuators
 #: damping ratio of inter-area modes beyond which more is no reason for another actuator, nor to take more
 #: from other modes: a swing is then gone after one period
 ENOUGH = 0.25
@@ -190,37 +188,11 @@ def propose(
     return Proposal(table, findings, taken, _reasons(findings, taken, names))
 
 
-def ranked_sets(weak: WeakModes) -> list[LoopSet]:
-    """Return the best sets of each number of actuators, by their residues alone: a matter of seconds.
-
-    Raises
-    ------
-    ModeError : no actuator reaches the weak modes.
-    """
-    sets: list[LoopSet] = []
-    choices = weak.choices
-    there = len(choices.actuators or weak.plant.inputs)
-    for together in range(1, min(choices.most_actuators, there) + 1):
-        choice = choose_loops(
-            weak.plant,
-            weak.found.modes,
-            weak.case.areas,
-            targets=[m.name for m in weak.targets],
-            kinds=("speed",),
-            actuators=choices.actuators,
-            latency_s=LATENCY_S,
-            together=together,
-            most=SETS,
-        )
-        sets += choice.sets
-    return sets
-
-
 def _short_designs(
     weak: WeakModes, cache: Path, clock: Clock, progress: Callable[[float], object]
 ) -> tuple[ShortDesign, ...]:
     """Design the best sets of each size shortly, those with few actuators first."""
-    sets = ranked_sets(weak)
+    sets = weak.sets
     designs: list[ShortDesign] = []
     for k, one in enumerate(sorted(sets, key=lambda each: sets.index(each) % SETS)):
         progress(k / len(sets))

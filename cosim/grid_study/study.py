@@ -31,7 +31,7 @@ from .choices import WEAK, Choices
 from .clock import Clock
 from .local_stabilizers import local_rival, which_to_build
 from .page import mode_shapes, write_page
-from .proposal import Findings, Proposal, ranked_sets
+from .proposal import Findings, Proposal
 from .weak_modes import in_words, modes_of_grid, weak_modes
 
 STAGES = (*DESIGN_STAGES, "local stabilizers", "own-signal rival", "latency", "FMUs and page")
@@ -56,8 +56,7 @@ def study_grid(
     command : that repeats the study. choices : of a person; default none but the grid.
 
     Writes report.html (from the first second on), study.json, design.toml, controller.json, local.json and
-    fmus/. What
-    cannot be had stands in the place of its part, with the reason, under `problem`.
+    fmus/. What cannot be had stands in the place of its part, with the reason, under `problem`.
 
     Raises
     ------
@@ -90,7 +89,7 @@ def study_grid(
         report(modes, 1.0)
         try:
             weak = weak_modes(found, choices)
-            study["loops"] = [_loop_row(one) for one in ranked_sets(weak)]
+            study["loops"] = [_loop_row(one) for one in weak.sets]
             written()
 
             def show(findings: Findings) -> None:
@@ -153,7 +152,7 @@ def found_in(case: Case, cache: Path) -> tuple[dict[str, Any], list[str]]:
         weak = weak_modes(found)
     except ScenarioError as error:
         return {}, [*lines, str(error)]
-    actuators = list(dict.fromkeys(a for one in ranked_sets(weak) for a in one.actuators))
+    actuators = list(dict.fromkeys(a for one in weak.sets for a in one.actuators))
     lines.append(f"Actuators of the best sets of loops by their residues: {', '.join(actuators)}.")
     return {"inter_area": round(weak.wanted, 4)}, lines
 

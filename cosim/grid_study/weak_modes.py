@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from interarea.design.linear.sparse_plant import SparsePlant
 from interarea.design.modes.all_modes import AllModes, all_modes
 from interarea.design.modes.growth import Growth, growth_of_plant
+from interarea.design.modes.loop_choice import choose_loops
+from interarea.design.modes.loop_points import LoopSet
 from interarea.design.modes.modes import Mode
 from interarea.models.case.case import Case
 
+from ..designs.short_designs import LATENCY_S
 from ..errors import ScenarioError
 from ..run.artefacts import sparse_linear_plant
 from .choices import WEAK, Choices
@@ -19,6 +23,7 @@ from .choices import WEAK, Choices
 #: Hz; electromechanical modes of large and small grids [Kundur1994, sec. 12.8]
 BAND_HZ = (0.1, 2.5)
 BELOW = 0.4  #: damping ratio up to which modes are looked for
+SETS = 2  #: of loops that are designed shortly for each number of actuators
 
 
 @dataclass(frozen=True)
@@ -89,6 +94,29 @@ class WeakModes:
     def wanted(self) -> float:
         """Inter-area damping ratio that a design is asked for."""
         return self.choices.wanted(self.weakest.damping_ratio)
+
+    @cached_property
+    def sets(self) -> tuple[LoopSet, ...]:
+        """The best sets of loops of each number of actuators, by their residues alone: a matter of seconds.
+
+        ModeError is raised where no actuator reaches the weak modes.
+        """
+        sets: list[LoopSet] = []
+        there = len(self.choices.actuators or self.plant.inputs)
+        for together in range(1, min(self.choices.most_actuators, there) + 1):
+            choice = choose_loops(
+                self.plant,
+                self.found.modes,
+                self.case.areas,
+                targets=[m.name for m in self.targets],
+                kinds=("speed",),
+                actuators=self.choices.actuators,
+                latency_s=LATENCY_S,
+                together=together,
+                most=SETS,
+            )
+            sets += choice.sets
+        return tuple(sets)
 
 
 def weak_modes(grid: GridModes, choices: Choices | None = None) -> WeakModes:

@@ -11,7 +11,6 @@ import pytest
 
 from interarea.cosim.errors import ScenarioError
 from interarea.cosim.grid_study.choices import Choices, choices_text, load_choices
-from interarea.cosim.grid_study.proposal import ranked_sets
 from interarea.cosim.grid_study.weak_modes import modes_of_grid, weak_modes
 from interarea.models.case.case import load_case
 from interarea.models.case.write_toml import export_toml
@@ -36,9 +35,9 @@ def test_a_choice_is_taken(cache: Path) -> None:
     grid = modes_of_grid(load_case("two-area-thesis"), cache)
     weak = weak_modes(grid, Choices(grid="x", actuators=("G1_vs", "G2_vs"), inter_area=0.3))
     assert weak.wanted == 0.3
-    assert {a for one in ranked_sets(weak) for a in one.actuators} == {"G1_vs", "G2_vs"}
+    assert {a for one in weak.sets for a in one.actuators} == {"G1_vs", "G2_vs"}
     alone = replace(weak, choices=Choices(grid="x", most_actuators=1))
-    assert {len(one.actuators) for one in ranked_sets(alone)} == {1}
+    assert {len(one.actuators) for one in alone.sets} == {1}
 
 
 def test_more_can_be_asked_of_a_mode_that_is_not_weak(cache: Path) -> None:
