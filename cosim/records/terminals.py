@@ -36,19 +36,19 @@ def terminals_of(record: Record, at: Mapping[str, str] | None = None) -> tuple[l
     taken). Power counts out of the bus, that of a machine, which has a speed, into it.
     Phasors in kV from phase to ground and A give three phases.
     """
-    pairs, notes = [], []
+    terminals, notes = [], []
     for name in record.terminals:
         terminal, missing = _terminal(record, name, (at or {}).get(name, name))
         if terminal is not None:
-            pairs.append(terminal)
+            terminals.append(terminal)
         elif missing:
             notes.append(f"{name}: no {missing}, left out")
-    if not pairs:
+    if not terminals:
         raise RecordError(
             f"{record.source}: no terminal has power and angle, wanted at each: V, I and their angles, "
             "or P, Q, V and an angle"
         )
-    return pairs, notes
+    return terminals, notes
 
 
 def _terminal(record: Record, name: str, place: str) -> tuple[Terminal | None, str]:

@@ -30,6 +30,7 @@ SETTLED, SLOW, STANDING, GROWING, LOST = VERDICTS = (
     "growing",
     "synchronism lost",
 )
+STABLE = (SETTLED, SLOW)  #: the machines stay together, and what is left of a disturbance falls
 NOT_JUDGED = "not judged"  #: the run ends too soon after its last event; no success
 LAST_S = 5.0  #: at least half a period of the slowest swing that counts (0.1 Hz)
 SETTLED_SHARE = 0.2  #: of the largest swing: below it and falling a swing has settled
@@ -75,7 +76,7 @@ class Verdict:
     @property
     def stable(self) -> bool:
         """Whether the machines stayed together and what is left of the disturbance falls."""
-        return self.name in (SETTLED, SLOW)
+        return self.name in STABLE
 
     @property
     def synchronous(self) -> bool:
@@ -177,7 +178,7 @@ class Motion:
         name, why, spans = decays
         rate = 0.0 if root is None else root.real
         seen = spans[0] >= NOTHING and rate * (end - begin) >= SHOWS
-        if root is not None and rate > 0.0 and name in (SETTLED, SLOW) and not seen:
+        if root is not None and rate > 0.0 and name in STABLE and not seen:
             pair = f"{rate:+.3g} +- {abs(root.imag):.3g}j"
             return self._made(GROWING, f"the linear loop has the root {pair} 1/s; in this run {why}", *spans)
         return self._made(name, why, *spans)

@@ -24,7 +24,7 @@ from ..plots.curves import DASHES, MUTED, SERIES, STYLE, WIDTH
 from ..plots.html import page_environment, page_figure
 from ..results.largest_deviation import OUT_OF_STEP_DEG
 from ..results.verdict import GROWING, STANDING
-from .screening import PLACE, Outcome, Screening
+from .screening import PLACE, Screened, Screening
 
 NO_SUCCESS = (STANDING, GROWING)  #: together, but not settling
 SHOWN = 300  #: disturbances on the page; all are in the files beside it
@@ -61,7 +61,7 @@ def write_grid(screening: Screening, folder: Path, cache: Path) -> Explorer:
 
 
 def write_screening(
-    screening: Screening, result: Sequence[Outcome], folder: Path, explorer: Explorer = Explorer()
+    screening: Screening, result: Sequence[Screened], folder: Path, explorer: Explorer = Explorer()
 ) -> Path:
     """Write `screen.html`, `screen.csv` and `screen.json` into `folder`; return the page.
 
@@ -76,7 +76,7 @@ def write_screening(
     environment = page_environment(Path(__file__).parent)
     environment.filters["plain"] = plain
     controllers = list(dict.fromkeys(one.controller for one in result))
-    groups: dict[tuple[str, str], dict[str, Outcome]] = {}
+    groups: dict[tuple[str, str], dict[str, Screened]] = {}
     for one in result:
         groups.setdefault((one.place, one.outage), {})[one.controller] = one
     text = environment.get_template("screen.html.j2").render(
@@ -97,7 +97,7 @@ def write_screening(
         return write_whole(folder / "screen.html", text)
 
 
-def _counts(result: Sequence[Outcome], controller: str) -> dict[str, Any]:
+def _counts(result: Sequence[Screened], controller: str) -> dict[str, Any]:
     """How often each verdict fell, and the extremes of what kept synchronism."""
     own = [one for one in result if one.controller == controller]
     retained = [one for one in own if one.verdict == "kept"]
@@ -110,7 +110,7 @@ def _counts(result: Sequence[Outcome], controller: str) -> dict[str, Any]:
     }
 
 
-def angle_figure(result: Sequence[Outcome]) -> Figure:
+def angle_figure(result: Sequence[Screened]) -> Figure:
     """Draw the largest angle of each disturbance, sorted, a curve for each controller."""
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(WIDTH, 3.0), layout="constrained")

@@ -123,7 +123,7 @@ class Screening:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class Screened:
     """What one disturbance did under one controller; numbers are None where the run failed.
 
     verdict : whether synchronism was kept. came_to : what the run came to (`results.verdict`), "" where it
@@ -154,7 +154,7 @@ def run_screening(
     scheduler: str | None = None,
     cache: Path | None = None,
     progress: Callable[[Progress], object] | None = None,
-) -> list[Outcome]:
+) -> list[Screened]:
     """Run what is missing of a screening into `folder`; return what each disturbance did, worst first.
 
     clearing : search the clearing times too. Parameters as of `run_sweep`.
@@ -201,13 +201,13 @@ def _critical(rows: pd.DataFrame, screening: Screening) -> dict[tuple[str, str, 
 
 def worst_first(
     rows: pd.DataFrame, screening: Screening, critical: Mapping[tuple[str, str, str], float | None]
-) -> list[Outcome]:
+) -> list[Screened]:
     """Return what the runs did: those that lost synchronism, those that failed, then by angle.
 
     The run without controller decides; the others of its place follow it.
     """
-    result = [_outcome(row, screening, critical) for row in rows.to_dict("records")]
-    groups: dict[tuple[str, str], list[Outcome]] = {}
+    result = [_screened(row, screening, critical) for row in rows.to_dict("records")]
+    groups: dict[tuple[str, str], list[Screened]] = {}
     for one in result:
         groups.setdefault((one.place, one.outage), []).append(one)
     for group in groups.values():
@@ -215,20 +215,20 @@ def worst_first(
     return [one for group in sorted(groups.values(), key=lambda g: _badness(g[0])) for one in group]
 
 
-def _badness(one: Outcome) -> tuple[int, float, float]:
+def _badness(one: Screened) -> tuple[int, float, float]:
     critical = math.inf if one.critical_s is None else one.critical_s
     return {"lost": 0, "failed": 1, "kept": 2}[one.verdict], critical, -(one.angle_deg or 0.0)
 
 
-def _outcome(
+def _screened(
     row: Mapping[Any, Any], screening: Screening, critical: Mapping[tuple[str, str, str], float | None]
-) -> Outcome:
+) -> Screened:
     key = _key(row, screening)
     if row["status"] != "ok":
         collapsed = row["failure"] == "fmu" and "no voltage found" in str(row["reason"])
         verdict: Literal["lost", "failed"] = "lost" if collapsed else "failed"
-        return Outcome(*key, verdict, None, None, "", None, None, str(row["reason"]), critical.get(key))
-    return Outcome(
+        return Screened(*key, verdict, None, None, "", None, None, str(row["reason"]), critical.get(key))
+    return Screened(
         *key,
         "kept" if row["synchronous"] else "lost",
         float(row["angle_deg"]),

@@ -23,7 +23,7 @@ from interarea.models.case.variants import operating_variant
 from ..designs.acceptance import FaultPlace
 from ..designs.family import FamilyPlant
 from ..designs.fault_runs import TOGETHER, FaultRuns, Outcome
-from ..results.verdict import LOST
+from ..results.verdict import LOST, STABLE
 from ..trajectory import Trajectory
 from .wrong_runs import (
     SWAP,
@@ -63,21 +63,18 @@ class WrongRow:
     @property
     def stable(self) -> bool:
         """Whether synchronism is kept and what is left falls."""
-        return self.verdict in _STABLE
+        return self.verdict in STABLE
 
     @property
     def worse(self) -> bool:
         """Whether the grid without control does better."""
         if self.verdict == LOST:
             return self.without != LOST
-        return not self.stable and self.without in _STABLE
+        return not self.stable and self.without in STABLE
 
     def __str__(self) -> str:
         what = self.kind if self.kind == RIGHT else f"{self.signal}, {self.kind}"
         return f"{what}, {self.disturbance} at {self.point}: {self.verdict}"
-
-
-_STABLE = ("settled", "settling slowly")
 
 
 @dataclass(frozen=True)

@@ -54,10 +54,10 @@ class ModeChange:
 def most_taken(modes: Sequence[Mapping[str, Any]]) -> str:
     """Return in words of which mode of a certificate's record the most is taken."""
     if not modes:
-        return "no swing mode below a damping ratio of 0.2 without control"
+        return f"no swing mode below a damping ratio of {_BELOW:g} without control"
     worst = max((ModeChange(**mode) for mode in modes), key=lambda change: change.taken)
     if not worst.taken > 0.0:
-        return "no mode is damped less than without control, or less than 0.1"
+        return f"no mode is damped less than without control, or less than {CALM:g}"
     return f"most is taken from {worst.text}"
 
 

@@ -133,16 +133,16 @@ class ControllerBank:
 
     def matrices(self) -> dict[str, Matrices]:
         """Return member -> (A, B, C, D) with a column of B and D for each signal of the bank; OFF if used."""
-        cached: dict[str, Matrices] = {}
+        matrices: dict[str, Matrices] = {}
         for member in self.members:
             K, columns = member.system, [self.inputs.index(s) for s in member.inputs]
             B, D = np.zeros((K.nstates, len(self.inputs))), np.zeros((K.noutputs, len(self.inputs)))
             B[:, columns], D[:, columns] = K.B, K.D
-            cached[member.name] = (np.asarray(K.A), B, np.asarray(K.C), D)
+            matrices[member.name] = (np.asarray(K.A), B, np.asarray(K.C), D)
         if any(self.active(s) == OFF for s in self.signal_sets()):
             m, p = len(self.inputs), len(self.outputs)
-            cached[OFF] = (np.zeros((0, 0)), np.zeros((0, m)), np.zeros((p, 0)), np.zeros((p, m)))
-        return cached
+            matrices[OFF] = (np.zeros((0, 0)), np.zeros((0, m)), np.zeros((p, 0)), np.zeros((p, m)))
+        return matrices
 
     def block(self, omega_b: float) -> Block:
         """Return the supervisor's block: speeds in pu, actuators in pu. `omega_b`: base speed, rad/s."""

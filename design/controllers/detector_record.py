@@ -131,8 +131,8 @@ def shares(curves: Array, floor: float) -> Array:
     parts = np.lib.stride_tricks.sliding_window_view(curves, _SPAN, axis=1)
     spans = np.ptp(parts, axis=2)
     others = np.array([np.delete(spans, i, axis=0).max(axis=0) for i in range(len(spans))])
-    found = spans / (3.0 * floor + others)
-    return np.asarray(np.lib.stride_tricks.sliding_window_view(found, _SPAN, axis=1).min(axis=2))
+    share = spans / (3.0 * floor + others)
+    return np.asarray(np.lib.stride_tricks.sliding_window_view(share, _SPAN, axis=1).min(axis=2))
 
 
 def _left(x: Array, V: Array) -> Array:

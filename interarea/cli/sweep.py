@@ -20,7 +20,7 @@ from .study import OutFolder
 from .terminal import busy, stage_progress
 
 if TYPE_CHECKING:
-    from interarea.cosim.screen.screening import Outcome
+    from interarea.cosim.screen.screening import Screened
     from interarea.cosim.sweep.front import Progress
 
 Workers = Annotated[
@@ -228,7 +228,7 @@ def screen(
         raise typer.Exit(1)
 
 
-def _tell_losses(result: Sequence[Outcome]) -> None:
+def _tell_losses(result: Sequence[Screened]) -> None:
     """Print with each controller how many of the events lose synchronism."""
     from interarea.cosim.screen.page import NO_SUCCESS
 

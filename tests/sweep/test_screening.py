@@ -14,7 +14,7 @@ from interarea.cosim.results.largest_deviation import largest_deviation_of
 from interarea.cosim.run.run import run_scenario
 from interarea.cosim.screen import screening as module
 from interarea.cosim.screen.page import Explorer, write_grid, write_screening
-from interarea.cosim.screen.screening import START_S, Outcome, Screening, run_screening, worst_first
+from interarea.cosim.screen.screening import START_S, Screened, Screening, run_screening, worst_first
 from interarea.cosim.trajectory import Trajectory
 from interarea.models.case.case import load_case
 
@@ -66,7 +66,7 @@ SCREENING = Screening(CASE, buses=(8, 5), clearing_s=0.1, stop_s=3.0, step_s=0.0
 
 
 @pytest.fixture(scope="module")
-def found(tmp_path_factory: pytest.TempPathFactory, cache: Path) -> tuple[list[Outcome], Path]:
+def found(tmp_path_factory: pytest.TempPathFactory, cache: Path) -> tuple[list[Screened], Path]:
     folder = tmp_path_factory.mktemp("screen")
     return run_screening(SCREENING, folder, clearing=True, workers=1, cache=cache), folder
 
@@ -80,7 +80,7 @@ def alone(bus: int, clearing_s: float, cache: Path) -> float:
     return float(np.degrees(np.ptp(np.array(angles), axis=0).max()))
 
 
-def test_a_screening_is_its_single_runs(found: tuple[list[Outcome], Path], cache: Path) -> None:
+def test_a_screening_is_its_single_runs(found: tuple[list[Screened], Path], cache: Path) -> None:
     assert sorted(one.place for one in found[0]) == ["5", "8"]
     for one in found[0]:
         assert one.verdict == "kept"
@@ -88,7 +88,7 @@ def test_a_screening_is_its_single_runs(found: tuple[list[Outcome], Path], cache
 
 
 def test_beyond_the_critical_clearing_time_synchronism_goes(
-    found: tuple[list[Outcome], Path], cache: Path
+    found: tuple[list[Screened], Path], cache: Path
 ) -> None:
     worst = found[0][0]
     assert worst.critical_s is not None and 0.1 < worst.critical_s < 0.8
@@ -97,7 +97,7 @@ def test_beyond_the_critical_clearing_time_synchronism_goes(
 
 
 def test_worst_comes_first_and_nothing_runs_twice(
-    found: tuple[list[Outcome], Path], cache: Path, monkeypatch: pytest.MonkeyPatch
+    found: tuple[list[Screened], Path], cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rows, folder = found
     assert rows[0].critical_s <= rows[1].critical_s
@@ -105,7 +105,7 @@ def test_worst_comes_first_and_nothing_runs_twice(
     assert run_screening(SCREENING, folder, clearing=True, workers=1, cache=cache) == rows
 
 
-def test_page_and_files_hold_what_was_found(found: tuple[list[Outcome], Path]) -> None:
+def test_page_and_files_hold_what_was_found(found: tuple[list[Screened], Path]) -> None:
     rows, folder = found
     page = write_screening(SCREENING, rows, folder).read_text(encoding="utf-8")
     table = page[page.index("Worst first") :]
@@ -118,7 +118,7 @@ def test_page_and_files_hold_what_was_found(found: tuple[list[Outcome], Path]) -
     assert [float(line["angle_deg"]) for line in lines] == [one.angle_deg for one in rows]
 
 
-def test_order_lost_failed_kept(found: tuple[list[Outcome], Path]) -> None:
+def test_order_lost_failed_kept(found: tuple[list[Screened], Path]) -> None:
     pd = pytest.importorskip("pandas")
     kept = {"status": "ok", "failure": None, "reason": None, "voltage_at": "bus1"}
     kept |= dict.fromkeys(("voltage_pu", "nadir_hz", "zenith_hz"), 1.0)
@@ -171,7 +171,7 @@ def test_trips_have_no_clearing_times(tmp_path: Path) -> None:
 
 def test_a_place_opens_its_disturbance_in_the_explorer(cache: Path, tmp_path: Path) -> None:
     found = [
-        Outcome("8", outage, "none", "kept", 30.0, 0.9, "bus8", 59.0, 61.0, "") for outage in ("", "8-9 a")
+        Screened("8", outage, "none", "kept", 30.0, 0.9, "bus8", 59.0, 61.0, "") for outage in ("", "8-9 a")
     ]
     screening = Screening(CASE, buses=(8,), clearing_s=0.15, outages=("8-9 a",))
     page = write_screening(screening, found, tmp_path, write_grid(screening, tmp_path, cache)).read_text()

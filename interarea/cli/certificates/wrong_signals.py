@@ -85,18 +85,19 @@ def certify_wrong(
 
 
 def _show(found: WrongCertificate, place: FaultPlace) -> None:
+    from interarea.cosim.screen.wrong_runs import STOP_S, WRONG_S
     from interarea.cosim.screen.wrong_signals import HEADER
 
     late = ", ".join(f"{s} {1e3 * t:g} ms" for s, t in found.signals.items())
     witnesses = f"; only compared: {', '.join(found.witnesses)}" if found.witnesses else ""
     print_table(
-        f"{found.controller} on {found.case}, one signal wrong from 1.5 s on ({late}{witnesses})",
+        f"{found.controller} on {found.case}, one signal wrong from {WRONG_S:g} s on ({late}{witnesses})",
         HEADER,
         found.table(),
     )
     disturbances = ", ".join(dict.fromkeys(r.disturbance for r in found.rows))
     points = " and ".join(dict.fromkeys(r.point for r in found.rows))
-    typer.echo(f"each at {points} with {disturbances}; fault at {place}; verdicts of 20 s")
+    typer.echo(f"each at {points} with {disturbances}; fault at {place}; verdicts of {STOP_S:g} s")
     print_table(
         "linear loop with a signal isolated",
         ("operating point", "signal", "stable", "worst swing", "inter-area"),
