@@ -19,11 +19,10 @@ from interarea.cosim.designs.design_file import (
 from interarea.cosim.designs.design_file import certify as certify_family
 from interarea.cosim.designs.worth import certified_worth
 from interarea.cosim.errors import ScenarioError
-from interarea.cosim.run.artefacts import linear_plant
+from interarea.cosim.run.artefacts import plant_for_controllers
 from interarea.cosim.run.controllers import controller_of
 from interarea.design.controllers.bank import ControllerBank
 from interarea.design.controllers.controller import Controller
-from interarea.design.linear.linearise import remove_reference, speeds_in_rad
 from interarea.design.linear.systems import SystemLike
 from interarea.fmu_build.write.cache import default_cache
 from interarea.grids import case_like
@@ -160,8 +159,7 @@ def certify(
     judged, table = judged_and_design(controller, case, spec, conditions)
     grid = table.grid
     if isinstance(judged, ControllerBank):
-        plant = remove_reference(linear_plant(grid, default_cache()))
-        proof = certify_bank(speeds_in_rad(plant, grid.omega_b), judged)
+        proof = certify_bank(plant_for_controllers(grid, default_cache()), judged)
         return Certificate(judged.name, grid.name, proof)
     with notebook_bars(steps_of(table, acceptance=False)) as report:
         certificate = certify_family(table, judged, default_cache(), progress=progress or report or silent)

@@ -21,10 +21,9 @@ import numpy as np
 from scipy.linalg import expm
 
 import interarea as ia
-from interarea.cosim.run.artefacts import linear_plant
+from interarea.cosim.run.artefacts import plant_for_controllers
 from interarea.cosim.screen.detector_design import design_detector
 from interarea.design.controllers.detector_record import FRAMES, load_detector, scores
-from interarea.design.linear.linearise import remove_reference, speeds_in_rad
 from interarea.fmu_build.write.cache import default_cache
 
 CASE = "two-area-thesis"
@@ -87,7 +86,7 @@ def ambient_loop(controller: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     No latency: it moves the damping of the loop by little, and what is compared is aligned by stamps.
     """
     case = ia.load_case(CASE)
-    plant = speeds_in_rad(remove_reference(linear_plant(case, default_cache())), case.omega_b)
+    plant = plant_for_controllers(case, default_cache())
     loaded = ia.load_controller(controller)
     K = loaded.system if isinstance(loaded, ia.Controller) else loaded.acting(()).system
     chosen = plant[list(K.input_labels), list(K.output_labels)]

@@ -21,7 +21,7 @@ WEAK, GAIN = 0.1, 0.05
 
 
 class Choices(Table):
-    """A study of a grid; every key but `grid` has a default. A file that is written holds the descriptions."""
+    """A study of a grid; every key but `grid` has a default. Descriptions stand in its file."""
 
     grid: Annotated[
         str,

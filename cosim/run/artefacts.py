@@ -227,6 +227,13 @@ def linear_plant(case: Case, cache: Path) -> control.StateSpace:
     )
 
 
+def plant_for_controllers(case: Case, cache: Path) -> control.StateSpace:
+    """Return `linear_plant` as linear controllers take it: relative angles, speeds in rad/s."""
+    from interarea.design.linear.linearise import remove_reference, speeds_in_rad
+
+    return speeds_in_rad(remove_reference(linear_plant(case, cache)), case.omega_b)
+
+
 def sparse_linear_plant(case: Case, cache: Path) -> SparsePlant:
     """Return the plant of a case at rest as sparse blocks, from the C of its FMU; only the library is kept.
 

@@ -16,12 +16,11 @@ from threadpoolctl import threadpool_limits
 
 from interarea.design.controllers.controller import Controller
 from interarea.design.delay.packet_loss import LossyChannel, OnLoss, PacketLoop, critical_loss
-from interarea.design.linear.linearise import remove_reference, speeds_in_rad
 from interarea.design.synthesis.study_designs import StudySpec
 from interarea.fmu_build.write.cache import cached_json, code_hash, content_hash
 from interarea.models.case.case import load_case
 
-from ..run.artefacts import linear_plant, plant_fmu
+from ..run.artefacts import plant_fmu, plant_for_controllers
 from ..run.controllers import controller_fmu, design_controller
 from .runs import Document, document_of, run_all
 
@@ -50,7 +49,7 @@ def mean_square_record(
     )
 
     def make() -> list[dict[str, Any]]:
-        plant = speeds_in_rad(remove_reference(linear_plant(case, cache)), case.omega_b)
+        plant = plant_for_controllers(case, cache)
         return mean_square_rows(plant, controllers, packets)
 
     with threadpool_limits(1):

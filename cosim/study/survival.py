@@ -24,7 +24,6 @@ from interarea.design.certificates.closed_loop import closed_loop_matrix
 from interarea.design.controllers.bank import ControllerBank, load_controller
 from interarea.design.controllers.bundled import shipped_bank, shipped_banks
 from interarea.design.controllers.controller import Controller
-from interarea.design.linear.linearise import remove_reference, speeds_in_rad
 from interarea.design.synthesis.study_designs import StudySpec
 from interarea.fmu_build.write.cache import cached_json, code_hash, content_hash, source_hash
 from interarea.models.case.case import Case, load_case
@@ -33,7 +32,7 @@ from interarea.models.case.variants import operating_variant
 from ..designs.fault_loops import LONG_S, ControllerOrBank, FaultLoops
 from ..designs.fault_runs import FaultRuns, Outcome, longest_kept
 from ..grid_study.local_stabilizers import Stabilizer, as_controller
-from ..run.artefacts import linear_plant, plant_fmu
+from ..run.artefacts import plant_fmu, plant_for_controllers
 from ..run.controllers import controller_fmu, design_controller
 from .delay import least_swing
 
@@ -176,7 +175,7 @@ def _make_rows(
             return {setting: angle < np.pi for setting, angle in result.items()}
 
         critical = longest_kept(settings, kept, cycles["from"], cycles["to"], cycles["tolerance"])
-    plant = speeds_in_rad(remove_reference(linear_plant(case, cache)), case.omega_b)
+    plant = plant_for_controllers(case, cache)
     rows = []
     for setting in settings:
         poles = np.linalg.eigvals(plant.A)

@@ -31,14 +31,12 @@ def certify_bank(
     from interarea.cosim.designs.bank_design import certify_bank as prove
     from interarea.cosim.designs.design_file import CERTIFICATE_STEPS
     from interarea.cosim.designs.family import family_cases
-    from interarea.cosim.run.artefacts import linear_plant
-    from interarea.design.linear.linearise import remove_reference, speeds_in_rad
+    from interarea.cosim.run.artefacts import plant_for_controllers
     from interarea.fmu_build.write.cache import default_cache
 
     case, cache = table.grid, default_cache()
     with busy(f"certifying {bank.name}"):
-        plant = speeds_in_rad(remove_reference(linear_plant(case, cache)), case.omega_b)
-        result = prove(plant, bank)
+        result = prove(plant_for_controllers(case, cache), bank)
         rows, worth = judge_bank(table, bank, cache), bank_worth(table, bank, cache)
     tried = None
     if acceptance and table.acceptance is not None:
