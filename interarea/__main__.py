@@ -61,6 +61,8 @@ def main() -> None:
         signal.signal(number, stop)
     try:
         run(stops)
+    except KeyboardInterrupt:  # one that came once more while the first was dealt with
+        sys.exit(128 + stops[0])
     finally:
         for number in numbers:
             signal.signal(number, _stop)

@@ -215,6 +215,26 @@ def test_a_stop_that_a_module_makes_an_error_of_is_still_a_stop() -> None:
     assert (done.returncode, done.stderr) == (130, "interarea: stopped\n")
 
 
+@pytest.mark.skipif(os.name == "nt", reason="no SIGTERM to oneself on Windows")
+def test_a_stop_that_comes_again_keeps_the_exit_code_of_the_first() -> None:
+    """Python would end itself by SIGINT where KeyboardInterrupt leaves the program."""
+    code = """if True:
+        import os, signal
+        from interarea import __main__
+        from interarea.cli import app
+        def run(stops):
+            try:
+                os.kill(os.getpid(), signal.SIGTERM)
+            except KeyboardInterrupt:
+                os.kill(os.getpid(), signal.SIGTERM)
+        app.main = run
+        __main__.main()
+    """
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 128 + signal.SIGTERM
+    assert "Traceback" not in done.stderr
+
+
 def test_a_panic_of_a_module_in_rust_ends_as_one_line(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
