@@ -1,9 +1,11 @@
 """`python -m interarea`, and the start of the command `interarea`: quick to stop from its first moment."""
 
+import atexit
 import os
 import signal
 import sys
 import threading
+from contextlib import suppress
 from types import FrameType
 from typing import Any, NoReturn
 
@@ -14,6 +16,19 @@ def _stop(number: int, frame: FrameType | None) -> None:
     """End at once: while modules are loaded, and after all, there is nothing to leave in order."""
     os.write(2, b"interarea: stopped\n")
     os._exit(128 + number)
+
+
+def _keep_code(stops: list[int]) -> None:
+    """End with the code of the signal that stopped the command.
+
+    Python ends itself by SIGINT where KeyboardInterrupt has passed through code that a module in C runs
+    (PyRun_String), even if it was dealt with. Where SIGINT stopped the command, that is as good.
+    """
+    if stops and stops[0] != signal.SIGINT:
+        for stream in (sys.stdout, sys.stderr):
+            with suppress(OSError, ValueError):  # a terminal that is gone
+                stream.flush()
+        os._exit(128 + stops[0])
 
 
 def _signals() -> list[int]:
@@ -42,6 +57,7 @@ def main() -> None:
     from .cli.app import main as run
 
     stops: list[int] = []
+    atexit.register(_keep_code, stops)  # registered first, called last
 
     def stop(number: int, _frame: FrameType | None) -> NoReturn:
         stops.append(number)
@@ -61,8 +77,6 @@ def main() -> None:
         signal.signal(number, stop)
     try:
         run(stops)
-    except KeyboardInterrupt:  # one that came once more while the first was dealt with
-        sys.exit(128 + stops[0])
     finally:
         for number in numbers:
             signal.signal(number, _stop)

@@ -216,23 +216,29 @@ def test_a_stop_that_a_module_makes_an_error_of_is_still_a_stop() -> None:
 
 
 @pytest.mark.skipif(os.name == "nt", reason="no SIGTERM to oneself on Windows")
-def test_a_stop_that_comes_again_keeps_the_exit_code_of_the_first() -> None:
-    """Python would end itself by SIGINT where KeyboardInterrupt leaves the program."""
-    code = """if True:
-        import os, signal
+def test_a_stop_in_code_that_a_module_in_c_runs_keeps_its_exit_code(tmp_path: Path) -> None:
+    """Python would end itself by SIGINT: PyRun_String notes the KeyboardInterrupt that passes through it."""
+    (tmp_path / "stopped_inside.py").write_text(
+        """if True:
+        import ctypes, signal, sys
         from interarea import __main__
         from interarea.cli import app
+        inner = ctypes.pythonapi.PyRun_String
+        inner.restype = ctypes.py_object
+        inner.argtypes = [ctypes.c_char_p, ctypes.c_int, ctypes.py_object, ctypes.py_object]
+        CODE = b"import os, signal\\nos.kill(os.getpid(), signal.SIGTERM)\\nfor k in range(1000): pass\\n"
         def run(stops):
             try:
-                os.kill(os.getpid(), signal.SIGTERM)
+                inner(CODE, 257, {}, {})
             except KeyboardInterrupt:
-                os.kill(os.getpid(), signal.SIGTERM)
+                sys.exit(128 + stops[0])
         app.main = run
         __main__.main()
-    """
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert done.returncode == 128 + signal.SIGTERM
-    assert "Traceback" not in done.stderr
+        """
+    )
+    command = [sys.executable, "-m", "stopped_inside"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (128 + signal.SIGTERM, "")
 
 
 def test_a_panic_of_a_module_in_rust_ends_as_one_line(
