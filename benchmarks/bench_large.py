@@ -19,7 +19,7 @@ that with impedances, both in turns, the least of `REPEAT` runs.
 `--ruled` takes grids of MATPOWER with devices by the rule of `ruled_grid`: what they take to be built, how
 far they drift in a second without a disturbance, what a simulated second costs after a fault of 100 ms
 through j0.01 pu at the largest load and how far speeds are then from those at the fine step, over the peak.
-Costs of a step are told per bus, so that grids of several sizes show by how much they grow beyond linearly.
+Costs of a step are given per bus, so that grids of several sizes show by how much they grow beyond linearly.
 """
 
 from __future__ import annotations

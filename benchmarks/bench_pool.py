@@ -2,7 +2,7 @@
 
     python benchmarks/bench_pool.py [--runs 2000] [--workers 2] [--rounds 3]
 
-Both make every row of the same sweep, with the same tasks; they take turns, and ratios of medians are told.
+Both make every row of the same sweep, with the same tasks; they take turns; ratios of medians are printed.
 With the start of the workers, as a user waits for it. The killed worker is the first that a process has, when
 a tenth of the runs is there. Exit code 1 where rows differ.
 """

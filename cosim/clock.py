@@ -1,7 +1,7 @@
 """Time as a whole number of ticks of 1 ns, and the communication points of a run.
 
 A float sum of steps drifts and never lands on an event. Here t = t0 + k H in
-whole ticks, steps are shortened to end at known instants (*marks*: events,
+whole ticks, steps are shortened to end at known instants (*event times*: events,
 outages), and a time between two ticks is taken as the nearer one, at most
 0.5 ns away (`on_tick`; results say so). The seconds handed to an FMU are the double nearest to
 the decimal time, so 3 steps of 10 ms are 0.03 to the bit.
@@ -105,17 +105,17 @@ class Clock:
     both known, whichever of the two an FMU reports at the instant itself.
     `points` are instants from which on a held signal has a new value (packets
     that arrive): communication points that are not recorded, with one more a
-    tick later, where slopes of what depends on it are new. `kinks` are instants
-    at which slopes jump and nothing else: treated as marks, not recorded.
+    tick later, where slopes of what depends on it are new. `slope_events` are instants
+    at which slopes jump and nothing else: treated as event times, not recorded.
     """
 
     start: int
     stop: int
     step: int
-    marks: tuple[int, ...] = ()
+    event_times: tuple[int, ...] = ()
     edges: bool = True
     points: tuple[int, ...] = ()
-    kinks: tuple[int, ...] = ()
+    slope_events: tuple[int, ...] = ()
 
     @classmethod
     def of_seconds(
@@ -124,7 +124,7 @@ class Clock:
         step_s: float,
         *,
         start_s: float = 0.0,
-        marks_s: Iterable[float] = (),
+        event_times_s: Iterable[float] = (),
         edges: bool = True,
     ) -> Clock:
         """Return the clock of a run given in seconds.
@@ -142,7 +142,7 @@ class Clock:
             raise ScenarioError(f"step_s = {step_s!r}: must be positive and longer than 2 ns")
         if not stop > start:
             raise ScenarioError(f"stop_s = {stop_s!r}: must lie after the start, {start_s!r} s")
-        event_times = sorted({to_ticks(m, "event time") for m in marks_s})
+        event_times = sorted({to_ticks(m, "event time") for m in event_times_s})
         return cls(start, stop, step, tuple(m for m in event_times if start < m < stop), edges)
 
     @cached_property
@@ -151,7 +151,7 @@ class Clock:
         import numpy as np
 
         grid = np.arange(self.start + self.step, self.stop, self.step, dtype=np.int64)
-        event_times = np.array(self.marks, dtype=np.int64)
+        event_times = np.array(self.event_times, dtype=np.int64)
         points = np.array(self.points, dtype=np.int64)
         retained = np.append(grid, self.stop)  # of 1e7 steps each array counts: no more of them than needed
         del grid
@@ -160,7 +160,7 @@ class Clock:
         around = [points]
         near = np.empty(0, dtype=np.int64)
         if self.edges:
-            slope_events = np.append(event_times, np.array(self.kinks, dtype=np.int64))
+            slope_events = np.append(event_times, np.array(self.slope_events, dtype=np.int64))
             around += [points + 1, slope_events - 1, slope_events, slope_events + 1]
             near = np.concatenate([slope_events, slope_events + 1, points + 1])
         extra = np.concatenate(around)

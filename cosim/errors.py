@@ -19,7 +19,7 @@ class ScenarioError(UserError):
 
 
 class ScenarioWarning(UserWarning):
-    """Something in a scenario that can be run as written but was hardly meant: one line."""
+    """Something in a scenario that can be run as written but is probably unintended: one line."""
 
 
 class GraphError(UserError):

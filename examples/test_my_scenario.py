@@ -1,4 +1,4 @@
-"""A whole test of one's own: the fixture `scenario` comes with interarea's pytest plugin."""
+"""A whole user-defined test: the fixture `scenario` comes with interarea's pytest plugin."""
 
 PULSE = {"kind": "vref_pulse", "machine": "G1", "size_pu": 0.05, "start_s": 1.0, "end_s": 1.2}
 

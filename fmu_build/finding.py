@@ -38,7 +38,7 @@ class Report:
         return "\n".join([f"{self.file}: {self.verdict}", *(f"  {f.line()}" for f in self.findings)])
 
     def add(self, rule: str, where: str, message: str, fix: str) -> None:
-        """Add a finding; the same rule is told once per place."""
+        """Add a finding; the same rule is reported once per place."""
         finding = Finding(rule, where, message, fix)
         if all((f.rule, f.where) != (rule, where) or f.message != message for f in self.findings):
             self.findings.append(finding)

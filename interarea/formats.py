@@ -300,7 +300,7 @@ def _example_files(kind: str) -> list[Mapping[str, Any]]:
 
 
 def _examples(kind: str, result: Mapping[str, Any]) -> dict[str, dict[str, str]]:
-    """Return table -> key -> the first short value that a file which comes along gives it."""
+    """Return table -> key -> the first short value that a bundled file gives it."""
     examples: dict[str, dict[str, str]] = {}
     defs = result.get("$defs", {})
 

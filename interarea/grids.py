@@ -72,7 +72,7 @@ def import_case(
     converters : "model", or "current" for inverters and units without dynamic data as constant currents.
     coordinates : CSV with the columns bus, latitude, longitude.
     release_limits : widen the limits beyond which controls would start; what was changed is in the report.
-    devices : files of devices of one's own; records of their names (USRMDL or not) become these.
+    devices : files of user-defined devices; records of their names (USRMDL or not) become these.
     leave_out, replace : models of DYR records to go on without, and to read as another (old -> new).
     report : called with what was read, assumed and dropped, how the controls start, and whether the grid is
         stable at rest, as text.

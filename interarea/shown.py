@@ -59,7 +59,7 @@ class SwingModes(Modes):
         return self.case.name if self.case is not None else "modes"
 
     def to_frame(self) -> pd.DataFrame:
-        """Return one row a mode: frequency_hz, damping_ratio, real and imaginary part (1/s), share, doubt."""
+        """Return one row a mode: frequency_hz, damping_ratio, real and imag (1/s), share, caveat."""
         rows = [
             {
                 "mode": name,
@@ -68,7 +68,7 @@ class SwingModes(Modes):
                 "real": mode.eigenvalue.real,
                 "imag": mode.eigenvalue.imag,
                 "share": mode.share,
-                "doubt": mode.caveat,
+                "caveat": mode.caveat,
             }
             for name, mode in self.items()
         ]

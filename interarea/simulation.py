@@ -13,7 +13,7 @@ from interarea.cosim.errors import ScenarioError, SweepError
 from interarea.cosim.results.result import Result
 from interarea.cosim.run.run import run_scenario, run_system
 from interarea.cosim.scenario.scenario import load_scenario
-from interarea.cosim.scenario.ways import ChannelTable
+from interarea.cosim.scenario.signal_paths import ChannelTable
 from interarea.design.controllers.bank import ControllerBank
 from interarea.design.controllers.controller import Controller
 from interarea.design.linear.systems import SystemLike

@@ -175,7 +175,7 @@ def judged_and_design(
 ) -> tuple[Controller | ControllerBank, DesignTable]:
     """Return a controller, and the design that judges it: `spec`, that of its record, or plain conditions.
 
-    case : another than the design's. conditions : plain ones of one's own instead of any design.
+    case : another than the design's. conditions : plain ones instead of any design.
 
     Raises
     ------

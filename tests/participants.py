@@ -249,15 +249,15 @@ def delayed_reference(
             continue
         options = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-16, **solver}
         # events at a break belong to the piece after it: ask at times inside the piece only
-        found = solve_ivp(
+        solution = solve_ivp(
             lambda t, x, a=now, b=end: rate(min(max(t, a + 1e-12), b - 1e-12), x, past),
             (now, end),
             x,
             dense_output=True,
             **options,
         )
-        pieces.append((now, end, found.sol))
-        now, x = end, found.y[:, -1]
+        pieces.append((now, end, solution.sol))
+        now, x = end, solution.y[:, -1]
 
     def at(times: np.ndarray) -> np.ndarray:
         return np.array([past(float(t)) for t in times])

@@ -42,18 +42,18 @@ SWEEP: dict[str, Any] = {
 
 def met_by(way: Callable[[], object]) -> set[Path]:
     """Return our Python files of which a function runs while `way` is gone."""
-    found: set[CodeType] = set()
+    collected: set[CodeType] = set()
 
     def note(frame: FrameType, event: str, _: object) -> None:
         if event == "call":
-            found.add(frame.f_code)
+            collected.add(frame.f_code)
 
     sys.setprofile(note)
     try:
         way()
     finally:
         sys.setprofile(None)
-    files = {Path(code.co_filename) for code in found if code.co_flags & _FUNCTION}
+    files = {Path(code.co_filename) for code in collected if code.co_flags & _FUNCTION}
     return {f for f in files if f.exists() and module_of(f) is not None}
 
 
@@ -78,19 +78,19 @@ def python_arrows(files: set[Path]) -> set[tuple[str, str]]:
 
 
 def _imports(package: str, source: str) -> set[str]:
-    found: set[str] = set()
+    collected: set[str] = set()
     todo: list[Any] = [ast.parse(source)]
     while todo:
         node = todo.pop()
         if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
             continue
         if isinstance(node, ast.Import):
-            found |= {a.name for a in node.names}
+            collected |= {a.name for a in node.names}
         elif isinstance(node, ast.ImportFrom):
             base = resolve_name("." * node.level + (node.module or ""), package)
-            found |= {base, *(f"{base}.{a.name}" for a in node.names)}
+            collected |= {base, *(f"{base}.{a.name}" for a in node.names)}
         todo += ast.iter_child_nodes(node)
-    return found
+    return collected
 
 
 def _scenario() -> tuple[Callable[[], object], Callable[[], object]]:

@@ -71,8 +71,8 @@ class Disk:
 
 def _state(path: Path) -> str:
     """Name a file in its present state; what writes to it changes the name, what renames it does not."""
-    found = path.stat()
-    return f"{found.st_ino}-{found.st_size}-{found.st_mtime_ns}"
+    result = path.stat()
+    return f"{result.st_ino}-{result.st_size}-{result.st_mtime_ns}"
 
 
 def cut(folder: Path, place: Path, chance: random.Random) -> int:

@@ -78,7 +78,7 @@ def _imports(path: Path, *, late: bool = True, types: bool = True) -> set[str]:
     """
     name = _module(path)
     package = name if path.name == "__init__.py" else name.rpartition(".")[0]
-    found: set[str] = set()
+    collected: set[str] = set()
     todo: list[ast.AST] = list(ast.parse(path.read_text(encoding="utf-8")).body)
     while todo:
         node = todo.pop()
@@ -86,13 +86,13 @@ def _imports(path: Path, *, late: bool = True, types: bool = True) -> set[str]:
             todo += node.orelse
             continue
         if isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names}
+            collected |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
             base = resolve_name("." * node.level + (node.module or ""), package)
-            found |= {n if (n := f"{base}.{alias.name}") in MODULES else base for alias in node.names}
+            collected |= {n if (n := f"{base}.{alias.name}") in MODULES else base for alias in node.names}
         elif late or not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
             todo += ast.iter_child_nodes(node)
-    return found
+    return collected
 
 
 def _room(module: str) -> tuple[str, str]:
@@ -140,8 +140,8 @@ def test_no_module_imports_itself_through_others() -> None:
 def _includes(path: Path) -> set[Path]:
     """Return our files that a C file includes, as the build finds them: beside it or among all headers."""
     names = re.findall(r'^\s*#\s*include\s+"([^"]+)"', path.read_text(encoding="utf-8"), re.MULTILINE)
-    found = {(path.parent / name).resolve() for name in names} & C_FILES
-    return found | {p for p in C_FILES for name in names if name == p.name}
+    result = {(path.parent / name).resolve() for name in names} & C_FILES
+    return result | {p for p in C_FILES for name in names if name == p.name}
 
 
 def _unit(path: Path) -> str:
@@ -273,7 +273,7 @@ def _ways_in_c(text: str) -> dict[str, int]:
     text = re.sub(r"/\*.*?\*/|//[^\n]*", " ", text, flags=re.DOTALL)
     text = re.sub(r'"(?:\\.|[^"\\])*"|\'(?:\\.|[^\'\\])\'', "0", text)
     text = re.sub(r"^[ \t]*#(?:[^\n]*\\\n)*[^\n]*", " ", text, flags=re.MULTILINE)
-    found, depth, start, name = {}, 0, 0, None
+    result, depth, start, name = {}, 0, 0, None
     for brace in re.finditer(r"[{}]", text):
         if brace[0] == "{" and depth == 0:
             name = re.search(r"(\w+)\s*\((?:[^()]|\([^()]*\))*\)\s*$", text[start : brace.start()])
@@ -282,9 +282,9 @@ def _ways_in_c(text: str) -> dict[str, int]:
         if depth == 0:
             body = text[start : brace.start()]
             if name is not None:
-                found[name[1]] = 1 + len(re.findall(r"\b(?:if|for|while|case)\b|&&|\|\||\?", body))
+                result[name[1]] = 1 + len(re.findall(r"\b(?:if|for|while|case)\b|&&|\|\||\?", body))
             start = brace.end()
-    return found
+    return result
 
 
 @pytest.mark.parametrize("path", sorted(C_FILES), ids=_name)

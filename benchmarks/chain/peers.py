@@ -216,7 +216,7 @@ def fmpy_ssp(fmu: Path, n: int, folder: Path) -> Route:
         ports = "".join(
             f'<ssd:Connector name="{v}" kind="{kind}"><ssc:Real/></ssd:Connector>'
             for v, kind in (("u", "input"), ("y", "output"))
-            if k or v == "y"  # it wants a source for every input it is told of
+            if k or v == "y"  # it wants a source for every input that is declared
         )
         return (
             f'<ssd:Component name="t{k}" type="application/x-fmu-sharedlibrary" '

@@ -72,9 +72,9 @@ def genuine(controllers: list[str], design: Path) -> None:
         for tie_mw, event in itertools.product((-100.0, 0.0, 100.0), disturbances()):
             run = ia.simulate(scenario(controller, tie_mw, event, design))
             runs += 1
-            found = {s: int(run.data[f"detector.{s}_reason"].max()) for s in LATENCY_S}
-            if any(found.values()):
-                alarms.append(f"{event} at {tie_mw:+g} MW: {found}, {run.metrics.verdict}")
+            result = {s: int(run.data[f"detector.{s}_reason"].max()) for s in LATENCY_S}
+            if any(result.values()):
+                alarms.append(f"{event} at {tie_mw:+g} MW: {result}, {run.metrics.verdict}")
         print(f"| `{controller}` | {runs} | {len(alarms)} |", flush=True)
         for line in alarms:
             print(f"  {line}", flush=True)
@@ -113,8 +113,8 @@ def ambient_loop(controller: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 def ambient(controller: str, design: Path, hours: float) -> None:
     """Print the largest of what each test compares, over its limit, and what the tail says of a month."""
-    found = load_detector(design)
-    patterns = found.patterns.of([found.signals.index(s) for s in LATENCY_S])
+    detector = load_detector(design)
+    patterns = detector.patterns.of([detector.signals.index(s) for s in LATENCY_S])
     step, noise, C = ambient_loop(controller)
     random = np.random.default_rng(1)
     x = np.zeros((len(step), RECORDS))

@@ -47,7 +47,7 @@ KNOWN: dict[tuple[str, str], str] = {
     ("pypowsybl", "OMIB_DARCO_PSR.raw"): NO_SLACK,
     ("veragrid", "IEEE145.raw"): "older than version 29",
     ("veragrid", "IEEE_145bus_v23_PSLF.raw"): "older than version 29",
-    # each of these two comes out alike when we leave out the same
+    # each of these two comes out the same when we leave out the same
     ("veragrid", "N44_BC.raw"): "the shunts at the ends of lines (GI to BJ) are left out there",
     ("veragrid", "TVC_System_32.raw"): "the ratio of winding 2 is left out of the impedance there",
     ("veragrid", "OMIB_DARCO_PSR.raw"): NO_SLACK,

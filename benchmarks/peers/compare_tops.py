@@ -81,7 +81,7 @@ def swing_modes(case: Case) -> list[complex]:
 
 
 def differences(case: Case, result: Mapping[str, Any]) -> tuple[float, float]:
-    """Largest differences of a complex bus voltage (pu, slack angles alike) and of a swing mode (1/s)."""
+    """Largest differences of a complex bus voltage (pu, equal slack angles) and of a swing mode (1/s)."""
     flow = solve_powerflow(case)
     ours = np.array([flow.voltage(bus.number) for bus in case.buses])
     theirs = np.array([complex(*z) for z in result["v"]])

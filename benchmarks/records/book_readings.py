@@ -66,7 +66,7 @@ def half_units(ours: Sequence[complex], wanted: Sequence[complex]) -> float:
 
 
 def stabilizer_needed(system: control.StateSpace, at: complex, near: complex) -> complex:
-    """Return the one transfer from speed (pu) to `vs` (pu), alike on all machines, that puts a pole at `at`.
+    """Return the transfer from speed (pu) to `vs` (pu), equal on all machines, that puts a pole at `at`.
 
     With G the transfer matrix from the stabilizers' summing points to the speeds, H G must have the
     eigenvalue 1 at the pole: H = 1/eig G(at). Of the N solutions the one next to `near` is meant.

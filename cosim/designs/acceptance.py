@@ -285,7 +285,7 @@ def judge_acceptance(
     """
     places = list(product(cases, (None, *table.ceilings), (None, *table.loads)))
     loops: dict[tuple[str, tuple[float, float] | None], FaultLoops] = {}
-    found = _Found()
+    collected = _Found()
     rows: list[ClearingRow] = []
     for done, (point, ceiling, loads) in enumerate(places):
         progress(done / len(places))
@@ -296,14 +296,14 @@ def judge_acceptance(
         with Trial(cases[point], controller, table, cache, ceiling, loads) as trial:
             ends = _ends(loops[point, loads], groups)
             if ceiling is None:  # the exciters' ceilings are no part of a linear loop
-                found.take_loops(groups, ends)
-            found.take_runs(groups, _outcomes(trial, ends))
+                collected.take_loops(groups, ends)
+            collected.take_runs(groups, _outcomes(trial, ends))
             if clearing:
                 rows += _clearing_rows(trial, groups)
-            found.longest_s = max(found.longest_s, trial.longest_s)
+            collected.longest_s = max(collected.longest_s, trial.longest_s)
     progress(1.0)
     unsolved = dict.fromkeys(f"{p} without {b}" for (p, _), each in loops.items() for b in each.unsolved)
-    return found.acceptance(tuple(rows), tuple(unsolved))
+    return collected.acceptance(tuple(rows), tuple(unsolved))
 
 
 def clearing_times(

@@ -131,12 +131,12 @@ def run_bank_design(
 def proven(table: DesignTable, bank: ControllerBank, cache: Path) -> ControllerBank:
     """Return a bank with its switching proven on the first operating point, and the design in its record."""
     plant = bank_plants(table, cache)[table.point[0].name]
-    found, P = switching_certificate(plant, bank)
+    switching, P = switching_certificate(plant, bank)
     design = {"method": "bank of robust controllers, one for each set of signals"}
     return replace(
         bank,
         design={**design, "specification": design_record(table)},
-        certificate=plain(found.as_dict()),
+        certificate=plain(switching.as_dict()),
         lyapunov=P,
     )
 
@@ -160,27 +160,27 @@ def bank_plants(table: DesignTable, cache: Path) -> dict[str, control.StateSpace
 
 def bank_worth(table: DesignTable, bank: ControllerBank, cache: Path) -> SignalWorth:
     """Return what the signals from afar are worth, beside the member of the own machines' signals alone."""
-    found = family_plants(table, cache)
+    plants = family_plants(table, cache)
     own = {s for signals in own_signals(bank.outputs, bank.inputs).values() for s in signals}
     alone = next((m for m in bank.members if set(m.inputs) <= own), None)
     return signal_worth(
-        {name: each.judged for name, each in found.items()},
+        {name: each.judged for name, each in plants.items()},
         bank.acting(()).system,
         table.family(),
         None if alone is None else alone.system,
-        bands_hz={name: inter_area_band(each.modes) for name, each in found.items()},
+        bands_hz={name: inter_area_band(each.modes) for name, each in plants.items()},
     )
 
 
 def judged_bank(
     table: DesignTable,
     bank: ControllerBank,
-    found: SwitchingCertificate,
+    switching: SwitchingCertificate,
     worth: SignalWorth,
     faults: Mapping[str, Any] | None,
 ) -> ControllerBank:
     """Return a bank with the design that judged it, and what was found, in its record."""
-    record = {**found.as_dict(), "worth": worth.as_dict(), "acceptance": faults}
+    record = {**switching.as_dict(), "worth": worth.as_dict(), "acceptance": faults}
     design = {**bank.design, "specification": design_record(table)}
     return replace(bank, design=design, certificate=plain(record))
 
@@ -191,7 +191,7 @@ def judge_bank(table: DesignTable, bank: ControllerBank, cache: Path) -> list[Fa
     A condition in which a signal is lost is judged with the member that acts then, and under the same name
     followed by "unnoticed" with the one that acts until the flag has fallen.
     """
-    found = family_plants(table, cache)
+    plants = family_plants(table, cache)
     rows: list[FamilyRow] = []
     for condition in table.family():
         acting = [(condition.name, bank.acting(condition.lost))]
@@ -201,10 +201,10 @@ def judge_bank(table: DesignTable, bank: ControllerBank, cache: Path) -> list[Fa
             gone = tuple(s for s in condition.lost if s in K.inputs)
             late = {s: t for s, t in condition.latency_s_of.items() if s in K.inputs}
             judged = judge_family(
-                {point: each.judged for point, each in found.items()},
+                {point: each.judged for point, each in plants.items()},
                 K.system,
                 [replace(condition, name=name, lost=gone, latency_s_of=late)],
-                bands_hz={point: inter_area_band(each.modes) for point, each in found.items()},
+                bands_hz={point: inter_area_band(each.modes) for point, each in plants.items()},
             )
             rows += judged.rows
     return rows

@@ -278,13 +278,13 @@ def run_design(
     linearising, searching, certifying = DESIGN_STEPS
     progress(linearising, 0.0, "")
     _check_followed(table)
-    found, spec, omega_b = family_plants(table, cache), table.spec(), table.grid.omega_b
-    plants = {name: each.searched for name, each in found.items()}
+    points, spec, omega_b = family_plants(table, cache), table.spec(), table.grid.omega_b
+    plants = {name: each.searched for name, each in points.items()}
     for name, plant in plants.items():
-        require_moved(name, plant, spec, found[name].modes)
+        require_moved(name, plant, spec, points[name].modes)
     if table.first_swing is not None and table.acceptance is not None:
         penalty = swing_penalty(
-            {name: each.case for name, each in found.items()},
+            {name: each.case for name, each in points.items()},
             table.first_swing,
             table.acceptance,
             table.signals,
@@ -345,9 +345,9 @@ def judge(
 
     progress : called with the share that is done.
     """
-    found = family_plants(table, cache)
+    plants = family_plants(table, cache)
     judged = judge_family(
-        {name: each.judged for name, each in found.items()},
+        {name: each.judged for name, each in plants.items()},
         K,
         table.family(),
         worst_swing=table.ask.worst_swing,
@@ -355,10 +355,10 @@ def judge(
         targets={t.under: (t.worst_swing, t.inter_area) for t in table.target},
         effort_cap=table.ask.effort,
         fastest_pole=table.ask.fastest_pole,
-        bands_hz={name: inter_area_band(each.modes) for name, each in found.items()},
+        bands_hz={name: inter_area_band(each.modes) for name, each in plants.items()},
         progress=progress,
     )
-    return with_mode_changes(judged, found, K, table.family(), table.ask.given_away)
+    return with_mode_changes(judged, plants, K, table.family(), table.ask.given_away)
 
 
 def steps_of(table: DesignTable, *, acceptance: bool) -> list[str]:
@@ -386,7 +386,7 @@ def certify(
     progress : called with one of `steps_of` and the share of it that is done.
     """
     linear, faults, accepting = CERTIFICATE_STEPS
-    found = judge(table, controller.system, cache, progress=lambda share: progress(linear, share))
+    certificate = judge(table, controller.system, cache, progress=lambda share: progress(linear, share))
     if acceptance and table.acceptance is not None:
         tried = judge_acceptance(
             controller,
@@ -395,14 +395,16 @@ def certify(
             cache,
             progress=lambda share: progress(accepting, share),
         )
-        found = replace(
-            found,
+        certificate = replace(
+            certificate,
             acceptance=tried.as_dict(),
-            violations=(*found.violations, *tried.violations),
+            violations=(*certificate.violations, *tried.violations),
         )
-    found = replace(found, not_covered=not_covered(table, controller.inputs, found.acceptance))
+    certificate = replace(
+        certificate, not_covered=not_covered(table, controller.inputs, certificate.acceptance)
+    )
     if table.fault is None:
-        return found
+        return certificate
     cases = family_cases(table)
     losses = list(dict.fromkeys(c.lost for c in table.family() if c.lost)) or [()]
     drive, predicted = predicted_drive(controller, cases, table.fault, losses, cache)
@@ -414,18 +416,18 @@ def certify(
     progress(faults, 1.0)
     missed = tuple(run.missed for run in runs if not run.passed)
     return replace(
-        found,
+        certificate,
         drive=drive,
         predicted=predicted,
         faults=tuple(asdict(run) for run in runs),
-        violations=(*found.violations, *(missed if table.ask.synchronism else ())),
+        violations=(*certificate.violations, *(missed if table.ask.synchronism else ())),
     )
 
 
-def judged_by(table: DesignTable, controller: Controller, found: FamilyCertificate) -> Controller:
-    """Return `controller` with the design that judged it, and what was `found`, in its record."""
+def judged_by(table: DesignTable, controller: Controller, certificate: FamilyCertificate) -> Controller:
+    """Return `controller` with the design that judged it, and what was `certificate` says, in its record."""
     design = {**controller.design, "specification": design_record(table)}
-    return replace(controller, design=design, certificate=found.as_dict())
+    return replace(controller, design=design, certificate=certificate.as_dict())
 
 
 def specification_of(controller: Controller | ControllerBank) -> DesignTable | None:

@@ -9,7 +9,7 @@ from urllib.parse import urlencode
 
 from ..scenario.channels import GilbertElliottLoss
 from ..scenario.scenario import Scenario
-from ..scenario.ways import ChannelTable
+from ..scenario.signal_paths import ChannelTable
 from .content import PULSES, RANGES, VERSION, state_of
 from .subject import Subject
 

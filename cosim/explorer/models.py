@@ -13,7 +13,7 @@ from interarea.models.blocks.variables import Block
 from ..export.container import container_block
 from ..run.instance import Fmus
 from ..scenario.scenario import OperatingPointTable, Scenario
-from ..scenario.ways import ChannelTable
+from ..scenario.signal_paths import ChannelTable
 from .subject import Point, Subject
 
 GUID = "page"  #: of every record here; page and record always come together

@@ -78,6 +78,6 @@ def members_of(
         for i in system.instances.values()
     )
     latencies = [line.least_latency_s for line in system.channels.values()]
-    instants = [scenario.stop_s, *scenario.marks_s]
+    instants = [scenario.stop_s, *scenario.event_times_s]
     step_s = choose_step(latencies, instants) if scenario.step_s is None else scenario.step_s
     return Members(scenario, members, tuple(system.connections), step_s)

@@ -42,7 +42,7 @@ def run_joint(
     progress: Callable[[float, float], object] | None = None,
     controller: ControllerLike | None = None,
 ) -> Run:
-    """Run a scenario as its container FMU and return what `run_scenario` does, columns named alike.
+    """Run a scenario as its container FMU and return what `run_scenario` does, under the same column names.
 
     What a page of `interarea explore` shows for the same settings has the same bits. Parameters as
     `run_scenario`.
@@ -54,7 +54,7 @@ def run_joint(
     """
     loaded = load_scenario(scenario)
     if not loaded.case:
-        raise ScenarioError(f"{loaded.name}: case is missing; FMUs of one's own are stepped by a master")
+        raise ScenarioError(f"{loaded.name}: case is missing; user-defined FMUs are stepped by a master")
     folder = default_cache() if cache is None else cache
     block = container_block(loaded, cache=folder, controller=controller)
     members = members_of(loaded, cache=folder, controller=controller)

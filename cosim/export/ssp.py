@@ -110,7 +110,7 @@ def parameter_set(member: Member) -> str:
     variables = _settable(member)
     known = member.file.model.unit_table
     units = {v.unit: known[v.unit] for v in variables if v.unit in known}
-    # one name for all: Ecos applies the sets of a name that it is told
+    # one name for all: Ecos applies the sets of the name that it gets
     head = {"xmlns:ssv": _SSV, "xmlns:ssc": _SSC, "version": "1.0", "name": "start"}
     lines = [
         '<?xml version="1.0" encoding="UTF-8"?>',

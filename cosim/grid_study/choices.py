@@ -84,10 +84,10 @@ def load_choices(path: Path) -> Choices:
         raise ScenarioError(*(f"{path}: {line}" for line in mistakes(error, Choices))) from error
 
 
-def choices_text(choices: Choices, found: Sequence[str]) -> str:
+def choices_text(choices: Choices, findings: Sequence[str]) -> str:
     """Return the file of a study with every choice in it, and what was found in its grid as comments."""
     keys: dict[str, Any] = choices.model_dump(mode="json", exclude_none=True)
-    lines = [f"# {line}" for line in found]
+    lines = [f"# {line}" for line in findings]
     for key, value in keys.items():
         lines += [f"# {Choices.model_fields[key].description}", toml_text({key: value}).strip()]
     return "\n".join(lines) + "\n"

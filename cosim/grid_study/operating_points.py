@@ -87,7 +87,7 @@ def chosen_points(tried: Sequence[TriedPoint]) -> tuple[PointTable, ...]:
 
 def _swinging_branches(weak: WeakModes) -> list[str]:
     """Return the branches in service by how much their power swings in the targets, the most first."""
-    modes = weak.found.modes
+    modes = weak.all_modes.modes
     aimed = [modes.index(mode) for mode in weak.targets]
     right = np.array([mode.right for mode in modes]).T
     value = np.array([mode.eigenvalue for mode in modes])
@@ -111,7 +111,7 @@ def _tie_points(case: Case) -> list[PointTable]:
 def _tried(weak: WeakModes, point: PointTable, cache: Path) -> TriedPoint:
     try:
         grid = modes_of_grid(at_point(weak.case, point), cache)
-        there = LoopPoint(point.name, grid.plant, grid.found.modes)
+        there = LoopPoint(point.name, grid.plant, grid.all_modes.modes)
         pairs = [(target, there.like(target)) for target in weak.targets]
     except InterareaError as error:
         return TriedPoint(point, problem=str(error).splitlines()[0])
@@ -122,5 +122,5 @@ def _tried(weak: WeakModes, point: PointTable, cache: Path) -> TriedPoint:
         point,
         least=min((m.damping_ratio for m in grid.inter_area), default=1.0),
         moved=max(moves, default=0.0),
-        modes=grid.found.modes,
+        modes=grid.all_modes.modes,
     )

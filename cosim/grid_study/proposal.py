@@ -151,7 +151,7 @@ def propose(
     acceptance = _acceptance(weak, tried, kept, RUNS // (1 + len(signals)))
     guard = _guard(weak, acceptance, parts, cache)
     least = [_least_of_all(row) for row in tried if row.point.name in names]
-    least.append(min(m.damping_ratio for m in weak.found.modes))
+    least.append(min(m.damping_ratio for m in weak.all_modes.modes))
     keys: dict[str, Any] = {
         "name": name or re.sub("^(?=[^A-Za-z_])|[^A-Za-z0-9_]+", "_", weak.case.name),
         "case": case or weak.case.name,
@@ -238,8 +238,8 @@ def _offset(
 
     reached : inter-area damping ratio that is counted on: where it is reached, no mode becomes weak.
     """
-    low, high = (2.0 * pi * hz for hz in inter_area_band({m.name: m for m in weak.found.modes}))
-    modes = [*weak.found.modes, *(m for row in tried if row.point.name in names for m in row.modes)]
+    low, high = (2.0 * pi * hz for hz in inter_area_band({m.name: m for m in weak.all_modes.modes}))
+    modes = [*weak.all_modes.modes, *(m for row in tried if row.point.name in names for m in row.modes)]
     local = _local_nodes([m for m in modes if high < abs(m.eigenvalue.imag) < _LOCAL_TO], weak, reached)
     nodes = [[at, value] for at, value in _SLOW if at < _RISE * low]
     nodes += [[_RISE * low, -0.1], [low, 0.0], [high, 0.0]]

@@ -78,28 +78,28 @@ def study_grid(
     }
     with threadpool_limits(1):
         report(modes, 0.0)
-        found = modes_of_grid(case, cache)
-        shown, shapes = found.shown, mode_shapes(found.shown, case)
+        grid = modes_of_grid(case, cache)
+        shown, shapes = grid.shown, mode_shapes(grid.shown, case)
 
         def written() -> None:
             write_page(study, shown, shapes, out / "report.html")
 
-        study["modes"] = found.as_dict()
+        study["modes"] = grid.as_dict()
         written()
         report(modes, 1.0)
         try:
-            weak = weak_modes(found, choices)
+            weak = weak_modes(grid, choices)
             study["loops"] = [_loop_row(one) for one in weak.sets]
             written()
 
             def show(findings: Findings) -> None:
-                study.update(_found(findings))
+                study.update(_findings(findings))
                 written()
 
             done = design_for(weak, cache, clock, named=named, report=report, shown=show)
             table, controller = done.proposal.table, done.controller
             study["certificate"] = controller.certificate
-            study |= _found(done.proposal.findings, done.proposal) | _proposed(done.proposal)
+            study |= _findings(done.proposal.findings, done.proposal) | _proposed(done.proposal)
             write_whole(out / "design.toml", done.proposal.text().encode())
             written()
             report(beside, 0.0)
@@ -139,17 +139,17 @@ def study_grid(
     return study
 
 
-def found_in(case: Case, cache: Path) -> tuple[dict[str, Any], list[str]]:
+def defaults_of(case: Case, cache: Path) -> tuple[dict[str, Any], list[str]]:
     """Return what is asked of a grid by default, as keys of `Choices`, and its modes in words.
 
     Raises CaseError where it has no operating point.
     """
-    found = modes_of_grid(case, cache)
+    findings = modes_of_grid(case, cache)
     lines = [f"Study of {case.name}: {len(case.buses)} buses, {len(case.machines)} machines."]
-    lines += [f"It is unstable without control: {text}." for text in found.growing]
-    lines += [f"{'Weak' if m.damping_ratio < WEAK else 'Not weak'}: {in_words(m)}." for m in found.shown]
+    lines += [f"It is unstable without control: {text}." for text in findings.growing]
+    lines += [f"{'Weak' if m.damping_ratio < WEAK else 'Not weak'}: {in_words(m)}." for m in findings.shown]
     try:
-        weak = weak_modes(found)
+        weak = weak_modes(findings)
     except ScenarioError as error:
         return {}, [*lines, str(error)]
     actuators = list(dict.fromkeys(a for one in weak.sets for a in one.actuators))
@@ -157,7 +157,7 @@ def found_in(case: Case, cache: Path) -> tuple[dict[str, Any], list[str]]:
     return {"inter_area": round(weak.wanted, 4)}, lines
 
 
-def _found(findings: Findings, proposal: Proposal | None = None) -> dict[str, Any]:
+def _findings(findings: Findings, proposal: Proposal | None = None) -> dict[str, Any]:
     """Return short designs and operating points as JSON values, and which of them a proposal takes."""
     taken = None if proposal is None else proposal.taken.chosen.actuators
     names = set() if proposal is None else {point.name for point in proposal.table.point}

@@ -32,19 +32,19 @@ class GridModes:
 
     case: Case
     plant: SparsePlant
-    found: AllModes
+    all_modes: AllModes
     growth: Growth
 
     @property
     def inter_area(self) -> tuple[Mode, ...]:
         """The inter-area modes."""
-        return tuple(m for m in self.found.modes if m.name.startswith("inter-area"))
+        return tuple(m for m in self.all_modes.modes if m.name.startswith("inter-area"))
 
     @property
     def weak_others(self) -> tuple[Mode, ...]:
         """Other modes that are damped by less than `WEAK`."""
         inter_area = self.inter_area
-        return tuple(m for m in self.found.modes if m not in inter_area and m.damping_ratio < WEAK)
+        return tuple(m for m in self.all_modes.modes if m not in inter_area and m.damping_ratio < WEAK)
 
     @property
     def shown(self) -> tuple[Mode, ...]:
@@ -61,14 +61,14 @@ class GridModes:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the record as JSON values."""
-        return {"growing": self.growing, "weak": WEAK, **self.found.as_dict(4, shapes=True)}
+        return {"growing": self.growing, "weak": WEAK, **self.all_modes.as_dict(4, shapes=True)}
 
 
 def modes_of_grid(case: Case, cache: Path) -> GridModes:
     """Return the modes of a grid without control. Raises CaseError where it has no operating point."""
     plant = sparse_linear_plant(case, cache)
-    found = all_modes(plant, case.areas, band_hz=BAND_HZ, below=BELOW)
-    return GridModes(case, plant, found, growth_of_plant(plant, known=[m.eigenvalue for m in found.modes]))
+    modes = all_modes(plant, case.areas, band_hz=BAND_HZ, below=BELOW)
+    return GridModes(case, plant, modes, growth_of_plant(plant, known=[m.eigenvalue for m in modes.modes]))
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ class WeakModes:
 
     case: Case
     plant: SparsePlant
-    found: AllModes
+    all_modes: AllModes
     targets: tuple[Mode, ...]
     others: tuple[Mode, ...]
     choices: Choices
@@ -106,7 +106,7 @@ class WeakModes:
         for together in range(1, min(self.choices.most_actuators, there) + 1):
             choice = choose_loops(
                 self.plant,
-                self.found.modes,
+                self.all_modes.modes,
                 self.case.areas,
                 targets=[m.name for m in self.targets],
                 kinds=("speed",),
@@ -147,7 +147,7 @@ def weak_modes(grid: GridModes, choices: Choices | None = None) -> WeakModes:
             f"{case.name}: no weak inter-area mode, all have a damping ratio of {WEAK:g} or more: {listed}; "
             "nothing to design"
         )
-    return WeakModes(case, grid.plant, grid.found, targets, grid.weak_others, choices)
+    return WeakModes(case, grid.plant, grid.all_modes, targets, grid.weak_others, choices)
 
 
 def in_words(mode: Mode) -> str:

@@ -72,7 +72,7 @@ class Master:
         self.step_s, self.step_reason = (
             (plan.step_s, "given")
             if plan.step_s is not None
-            else step_and_reason(plan.latency_s.values(), [plan.stop_s, *plan.marks_s])
+            else step_and_reason(plan.latency_s.values(), [plan.stop_s, *plan.event_times_s])
         )
         holds = plan.inputs.startswith("hold")
         self.clock = clock_of(
@@ -80,7 +80,7 @@ class Master:
             start_s=plan.start_s,
             stop_s=plan.stop_s,
             step_s=self.step_s,
-            marks_s=plan.marks_s,
+            event_times_s=plan.event_times_s,
             latency_ticks=ticks,
             edges=not holds,
             points=() if holds else plan.points,

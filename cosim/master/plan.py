@@ -22,7 +22,7 @@ class LoopPlan:
     connections : pairs ("instance.output", "instance.input"), in any order.
     start_s, stop_s : s.
     step_s : communication step H, s; None: chosen from the latencies (`step_and_reason`).
-    marks_s : instants that must be communication points (events, outages), s.
+    event_times_s : instants that must be communication points (events, outages), s.
     points : further communication points, ticks: instants at which a held signal changes (`Clock`);
         left out when all inputs are held, as plain masters do.
     latency_s : instance -> least time its inputs need to reach its outputs (a promise of that instance), s.
@@ -51,7 +51,7 @@ class LoopPlan:
     stop_s: float
     step_s: float | None = None
     start_s: float = 0.0
-    marks_s: Iterable[float] = ()
+    event_times_s: Iterable[float] = ()
     points: Iterable[int] = ()
     latency_s: Mapping[str, float] = field(default_factory=dict)
     inputs: Inputs = "hermite"
@@ -65,7 +65,7 @@ class LoopPlan:
     def __post_init__(self) -> None:
         fixed = {
             "connections": tuple(sorted(self.connections)),
-            "marks_s": tuple(self.marks_s),
+            "event_times_s": tuple(self.event_times_s),
             "points": tuple(self.points),
             "latency_s": dict(self.latency_s),
             "early": early_word(self.early),

@@ -62,16 +62,16 @@ def clock_of(
     start_s: float,
     stop_s: float,
     step_s: float,
-    marks_s: Iterable[float],
+    event_times_s: Iterable[float],
     latency_ticks: Mapping[str, int],
     edges: bool,
     points: Iterable[int] = (),
     at_rest: bool = True,
 ) -> Clock:
-    """Return the clock of a run: its marks, each again when it comes out of a channel, and further points.
+    """Return the clock of a run: event times, each again when it comes out of a channel, further points.
 
     points : ticks; left out when an FMU takes steps of one length only.
-    at_rest : nothing moves at the start. Otherwise what a channel passes on begins to move with a kink a
+    at_rest : nothing moves at the start. Otherwise the output of a channel begins to move with a slope jump a
         latency after the start, as the signal before the start is taken to have been what it is there.
 
     Raises
@@ -79,27 +79,37 @@ def clock_of(
     GraphError : an FMU that takes steps of one length only, with a mark or the end off the grid.
     ScenarioError : see `Clock.of_seconds`.
     """
-    plain = Clock.of_seconds(stop_s, step_s, start_s=start_s, marks_s=marks_s)
+    plain = Clock.of_seconds(stop_s, step_s, start_s=start_s, event_times_s=event_times_s)
     rigid = sorted(n for n, d in descriptions.items() if not d.variable_step)
     if rigid:
         _refuse_off_grid(plain, rigid[0], step_s)
-        return Clock(plain.start, plain.stop, plain.step, plain.marks, edges=False)
+        return Clock(plain.start, plain.stop, plain.step, plain.event_times, edges=False)
     event_times = _with_echoes(plain, latency_ticks.values())
     inside = tuple(sorted({p for p in points if plain.start < p < plain.stop}))
     first = {plain.start + d for n, d in latency_ticks.items() if d and not _steps_only(descriptions[n])}
-    kinks = () if at_rest else tuple(sorted(t for t in first.difference(event_times) if t < plain.stop))
-    return Clock(plain.start, plain.stop, plain.step, event_times, edges=edges, points=inside, kinks=kinks)
+    slope_events = (
+        () if at_rest else tuple(sorted(t for t in first.difference(event_times) if t < plain.stop))
+    )
+    return Clock(
+        plain.start,
+        plain.stop,
+        plain.step,
+        event_times,
+        edges=edges,
+        points=inside,
+        slope_events=slope_events,
+    )
 
 
 def _with_echoes(clock: Clock, latencies: Collection[int]) -> tuple[int, ...]:
-    """Return the marks, and each again a latency later while the run lasts."""
-    late = {event + d for event in clock.marks for d in latencies}
-    return tuple(sorted({*clock.marks, *(m for m in late if m < clock.stop)}))
+    """Return the event times, and each again a latency later while the run lasts."""
+    late = {event + d for event in clock.event_times for d in latencies}
+    return tuple(sorted({*clock.event_times, *(m for m in late if m < clock.stop)}))
 
 
 def _refuse_off_grid(clock: Clock, rigid: str, step_s: float) -> None:
     """Raise GraphError where a mark or the end is no multiple of the step."""
-    for event in (*clock.marks, clock.stop):
+    for event in (*clock.event_times, clock.stop):
         off = (event - clock.start) % clock.step
         if off:
             raise GraphError(

@@ -1,7 +1,7 @@
 """Figures of a study: one style, a palette for colour-blind readers, the same bytes for the same data.
 
 Every function returns a matplotlib figure drawn without pyplot; `save_figure`
-writes it as SVG with text as outlines, so that it looks alike everywhere.
+writes it as SVG with text as outlines, so that it looks the same everywhere.
 Speeds come in pu and are drawn in thousandths of a pu.
 """
 
@@ -83,7 +83,7 @@ def save_figure(figure: Figure, path: Path, *, transparent: bool = False, outlin
     """Write a figure: SVG without a date, PNG at 160 dpi, by the path's suffix.
 
     transparent : for a page that brings its own light or dark ground; by itself a figure stands on white.
-    outlines : text of an SVG as outlines, alike everywhere; else as text, to be found, copied and read out.
+    outlines : text of an SVG as outlines; else as text, to be found, copied and read out.
     """
     metadata = {"Date": None, "Creator": "interarea"} if path.suffix == ".svg" else None
     drawn = io.BytesIO()

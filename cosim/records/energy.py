@@ -177,7 +177,7 @@ def _verdict(flows: Sequence[Flow]) -> tuple[str, str]:
         return "", f"over the record it is {first.terminal}, in one of its halves {other}: no steady source"
     if len(into) > 1 and not first.slope <= _CLEAR * into[1].slope:
         both = f"{first.terminal} ({first.slope:.3g}) and {into[1].terminal} ({into[1].slope:.3g})"
-        return "", f"{both} are too alike: two sources, or one outside what is observed"
+        return "", f"{both} are too similar: two sources, or one outside what is observed"
     rest = f"{first.slope / into[1].slope:.3g} times the next" if len(into) > 1 else "the only one"
     return first.terminal, f"most energy comes in through {first.terminal}, {rest}"
 

@@ -25,14 +25,17 @@ from .record import Array
 ComplexArray = npt.NDArray[np.complex128]
 FORCED, MODAL, UNDECIDED = "forced", "modal", "undecided"
 LEAST_DAMPING = 0.005  #: a mode with less cannot be told from a line in a record of usual length
-_CERTAIN, _DOUBTFUL = 17.0, 14.0  # twice the logarithm of the ratio of likelihoods
+_CERTAIN, _UNCERTAIN = 17.0, 14.0  # twice the logarithm of the ratio of likelihoods
 _STANDS_OUT = 6.0  # of a peak over the median of its surroundings, in amplitude
 _AROUND_HZ = 0.3
 _MOST_CANDIDATES, _MOST_HARMONIC = 4, 5
 _MOST_POINTS = 40
 _SIDE = 0.3  # of the frequency: the band to each side, at least
 _LEAST_WIDE = 9.0  # of 1 / length: that band, at least
-_PURE, _DOUBTFUL_PURE = 0.85, 8.0  # share of a line in its narrow band: of such, less likelihood is a doubt
+_PURE, _UNCERTAIN_PURE = (
+    0.85,
+    8.0,
+)  # share of a line in its narrow band: of such, less likelihood is undecided
 _IMPURE = 0.3  # of a line in its narrow band: less is a mode without further looking
 _COHERENT = 0.8  # share of a line in its narrow band, above which a harmonic counts
 
@@ -132,8 +135,8 @@ def _judged(values: Array, step_s: float, frequency_hz: float) -> Line:
     envelope, spacing = _envelope(signal, step_s, f, min(side, 0.5 * _MOST_POINTS / length_s))
     purity = float(np.abs(envelope.mean()) ** 2 / np.mean(np.abs(envelope) ** 2))
     ratio = 0.0 if purity < _IMPURE else _likelihood(envelope, spacing, 2.0 * np.pi * f)
-    doubtful = _DOUBTFUL if purity < _PURE else _DOUBTFUL_PURE
-    kind = FORCED if ratio >= _CERTAIN else MODAL if ratio < doubtful else UNDECIDED
+    uncertain = _UNCERTAIN if purity < _PURE else _UNCERTAIN_PURE
+    kind = FORCED if ratio >= _CERTAIN else MODAL if ratio < uncertain else UNDECIDED
     harmonics = tuple(
         k for k in range(2, _MOST_HARMONIC + 1) if kind != MODAL and _stands(values, step_s, k * f)
     )

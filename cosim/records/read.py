@@ -347,7 +347,7 @@ def _without_flagged(values: Array, raws: list[Raw]) -> tuple[Array, list[Raw], 
         late = int(((word & _UNSYNCHRONISED) != 0).sum())
         if late:
             notes.append(
-                f"{raw.channel.name}: {late} samples without a synchronised clock: taken, angles doubtful"
+                f"{raw.channel.name}: {late} samples without a synchronised clock: taken, angles uncertain"
             )
     left = [k for k, r in enumerate(raws) if r.channel.quantity != "status"]
     return values[:, left], [raws[k] for k in left], notes

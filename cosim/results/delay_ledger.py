@@ -207,7 +207,7 @@ PACKET_COUNTS = ("sent", "delivered", "dropped", "late")
 def packet_ledger(trajectory: Trajectory, accumulators: Accumulators) -> PacketLedger:
     """Return what the channels counted by the end of a run: from its last part, and what all parts add up to.
 
-    Of a channel without packets the age of its information is told: at the end, and mean and largest over
+    Of a channel without packets the age of its information is given: at the end, and mean and largest over
     the communication points.
     """
     rows: dict[str, dict[str, float]] = {}
@@ -235,7 +235,7 @@ def explain(master: Master, ledger: DelayLedger) -> str:
     lines = [
         f"step {1e3 * master.step_s:g} ms ({master.step_reason}), {len(master.clock.steps)} steps, "
         f"inputs: {master.plan.inputs}",
-        "events at " + (", ".join(f"{m / 1e9:.9g}" for m in master.clock.marks) or "none") + " s",
+        "events at " + (", ".join(f"{m / 1e9:.9g}" for m in master.clock.event_times) or "none") + " s",
         *([f"packets come out at {n} more points"] if (n := len(master.clock.points)) else []),
         "order of a step: "
         + " | ".join(" <-> ".join(x.members) if x.is_loop else x.members[0] for x in g.groups),

@@ -188,7 +188,7 @@ def motion_of(case: Case, scenario: Scenario, stop_s: float) -> Motion:
     """Return what takes the motion of all machines of a case through a scenario, for its verdict."""
     machines = machines_judged(case, scenario.event)
     events = [t for e in scenario.event for t in instants(e)]
-    lines = [t for line in scenario.lines.values() for t in line.marks_s]
+    lines = [t for line in scenario.lines.values() for t in line.event_times_s]
     return Motion(machines, parts_of(case, machines), events, [*events, *lines], stop_s, case.omega_b)
 
 

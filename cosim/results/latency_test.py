@@ -133,7 +133,7 @@ def self_test(
         start_s=0.0,
         stop_s=seconds(steps * step),
         step_s=master.step_s,
-        marks_s=(),
+        event_times_s=(),
         points=points(seconds(steps * step)),
         engine="python",
         early="continue",

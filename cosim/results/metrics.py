@@ -2,7 +2,7 @@
 
 Ring-down damping: after the last disturbance the signals are sums of decaying
 oscillations. The matrix pencil (`pencil`) finds their poles from uniformly
-sampled windows of several signals at once. Modes are told apart by shape, not
+sampled windows of several signals at once. Modes are distinguished by shape, not
 by position.
 """
 

@@ -29,7 +29,7 @@ class Result:
     """`trajectory`, delay `ledger`, `packets` and the `explanation` of how it was stepped.
 
     fmu_log : every message that an FMU logged: instance, time, status, text.
-    warnings : a line on each thing that did no harm here and is not as it should be, or was hardly meant.
+    warnings : a line on each thing that is harmless but wrong, or probably unintended.
     """
 
     trajectory: Trajectory

@@ -79,7 +79,7 @@ def fit_window(scenario: Scenario) -> tuple[float, float]:
     it anew, since the system then still swings.
     """
     start = disturbance_end_s(scenario)
-    later = sorted(t for t in scenario.marks_s if t > start)
+    later = sorted(t for t in scenario.event_times_s if t > start)
     for change in later:
         if change - start >= _LEAST_WINDOW_S:
             return start + _SKIP_S, change

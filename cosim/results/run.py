@@ -155,7 +155,7 @@ class Run(Result):
     ) -> float:
         """Return the damping ratio of a mode, or of ``least``: of everything that swings, the least.
 
-        As `metrics` has it; with `start_s` or `stop_s` that of the ring-down in a window of one's own.
+        As `metrics` has it; with `start_s` or `stop_s` that of the ring-down in a given window.
 
         Raises
         ------

@@ -97,14 +97,14 @@ class Motion:
     """Takes the points of a run in parts, in the order of time, and gives its `Verdict`.
 
     machines : names, in the order of the rows of speeds and angles. islands : rows of each. events_s :
-    instants of events; marks_s : of outages too. stop_s : time of the last point. omega_b : rad/s, by which
+    instants of events; event_times_s : of outages too. stop_s : last point. omega_b : rad/s, by which
     speeds are integrated where the plant shows no angles.
     """
 
     machines: Sequence[str]
     islands: Sequence[Sequence[int]]
     events_s: Sequence[float]
-    marks_s: Sequence[float]
+    event_times_s: Sequence[float]
     stop_s: float
     omega_b: float
     window_s: tuple[float, float] = field(init=False)
@@ -115,10 +115,10 @@ class Motion:
     pair: tuple[str, str] | None = None
 
     def __post_init__(self) -> None:
-        self.window_s = begin, end = window_of(self.events_s, self.marks_s, self.stop_s)
+        self.window_s = begin, end = window_of(self.events_s, self.event_times_s, self.stop_s)
         self.width_s = width = min(max(LAST_S, 0.25 * (end - begin)), 0.5 * (end - begin))
         since = max((t for t in self.events_s if t < end), default=0.0)
-        self._ends_with_mark = end < self.stop_s or any(t >= end for t in self.marks_s)
+        self._ends_with_mark = end < self.stop_s or any(t >= end for t in self.event_times_s)
         self._windows = ((since, end), (end - 2.0 * width, end - width), (end - width, end))
         self._spans: dict[str, Spans] = {k: Spans(self._windows) for k in ("speeds", "means", "controls")}
         spacing = max(0.05, width / _MOST_SAMPLES)
@@ -290,14 +290,16 @@ class Spans:
         return [None if a is None or b is None else np.maximum(np.abs(a), np.abs(b)) for a, b in both]
 
 
-def window_of(events_s: Sequence[float], marks_s: Sequence[float], stop_s: float) -> tuple[float, float]:
+def window_of(
+    events_s: Sequence[float], event_times_s: Sequence[float], stop_s: float
+) -> tuple[float, float]:
     """Return the window in which decay is judged: it begins at a mark, ends at one or with the run.
 
     From the last mark on; where that leaves less than `LAST_S`, from the mark before it that leaves as much,
     but never from before the last event.
     """
     last_event = max((t for t in events_s if t < stop_s), default=0.0)
-    edges = sorted({last_event, stop_s, *(t for t in marks_s if last_event < t < stop_s)})
+    edges = sorted({last_event, stop_s, *(t for t in event_times_s if last_event < t < stop_s)})
     pairs = list(pairwise(edges))
     long = [pair for pair in pairs if pair[1] - pair[0] >= LAST_S]
     return (long or [max(pairs, key=lambda pair: pair[1] - pair[0])])[-1]

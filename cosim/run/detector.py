@@ -18,15 +18,15 @@ from .system import CONTROLLER, System
 
 def add_detector(system: System, scenario: Scenario) -> None:
     """Add the detector that a scenario has: it sees every signal that travels through a channel."""
-    ways, table = scenario.signals, scenario.detector
+    paths, table = scenario.signals, scenario.detector
     if table is None:
         return
-    names, patterns = tuple(w.signal for w in ways), patterns_of(scenario)
+    names, patterns = tuple(w.signal for w in paths), patterns_of(scenario)
     block = partial(detector_block, names, patterns=patterns)
     file = system.fmus.detector(names, patterns)
-    system.put(Instance(DETECTOR, file, table.parameters(ways), block))
-    system.warnings += few_signals(ways)
-    for w in ways:
+    system.put(Instance(DETECTOR, file, table.parameters(paths), block))
+    system.warnings += few_signals(paths)
+    for w in paths:
         for source, variable in ((w.y, w.signal), (w.age, f"{w.signal}_age"), (w.valid, f"{w.signal}_valid")):
             system.connections.append((source, f"{DETECTOR}.{variable}"))
 
@@ -38,24 +38,24 @@ def patterns_of(scenario: Scenario) -> Patterns | None:
     ------
     ScenarioError : a file for other signals, another interval or another grid. DetectorDesignError : no file.
     """
-    table, ways = scenario.detector, scenario.signals
+    table, paths = scenario.detector, scenario.signals
     if table is None or not table.file:
         return None
-    found = load_detector(scenario.folder / table.file)
-    names = [w.signal for w in ways]
+    record = load_detector(scenario.folder / table.file)
+    names = [w.signal for w in paths]
     where = f"{scenario.name}: detector.file = {table.file!r} was designed for"
-    if sorted(names) != sorted(found.signals):
+    if sorted(names) != sorted(record.signals):
         raise ScenarioError(
-            f"{where} {', '.join(found.signals)}, here travel {', '.join(names)}, allowed: the same signals"
+            f"{where} {', '.join(record.signals)}, here travel {', '.join(names)}, allowed: the same signals"
         )
-    if abs(found.interval_s - ways[0].interval_s) > 1e-9:
+    if abs(record.interval_s - paths[0].interval_s) > 1e-9:
         raise ScenarioError(
-            f"{where} packets every {found.interval_s:g} s, here they come every {ways[0].interval_s:g} s"
+            f"{where} packets every {record.interval_s:g} s, here they come every {paths[0].interval_s:g} s"
         )
     case = Path(scenario.case).stem
-    if found.case != case:
-        raise ScenarioError(f"{where} the case {found.case!r}, here it is {case!r}; design one for it")
-    return found.patterns.of([found.signals.index(name) for name in names])
+    if record.case != case:
+        raise ScenarioError(f"{where} the case {record.case!r}, here it is {case!r}; design one for it")
+    return record.patterns.of([record.signals.index(name) for name in names])
 
 
 def flags(signal: str, valid: str, inputs: Collection[str], detector: bool) -> Iterator[tuple[str, str]]:

@@ -1,8 +1,8 @@
 """The swings of a system as roots of its linear loop: exact delay, packets and losses in the mean.
 
 What a ring-down can only estimate is known here, so it is what `run`, sweeps, maps and the test fixture
-tell, as certificates do. Where the loop is not linear, or no longer the one that was linearised, the reason
-is told.
+report, as certificates do. Where the loop is not linear, or no longer the one that was linearised, the reason
+is reported.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 
 from interarea.design.controllers.bank import ControllerBank
 from interarea.design.controllers.controller import ControllerError, matrices_of_parameters
-from interarea.design.delay.loop_modes import LoopFunction, LoopModes, SignalWay, open_loop_modes
+from interarea.design.delay.loop_modes import DelayedPath, LoopFunction, LoopModes, open_loop_modes
 from interarea.design.linear.linearise import bus_frequencies, remove_reference, speeds_in_rad
 from interarea.design.linear.matrices import LinearMatrices
 from interarea.design.modes.modes import modes_of
@@ -25,7 +25,7 @@ from ..errors import machine_error
 from ..results.ringdown import fit_window
 from ..scenario.channels import BernoulliLoss, ChannelLine, GilbertElliottLoss
 from ..scenario.concentrators import ConcentratorLine
-from ..scenario.ways import Way, signal_faults_of
+from ..scenario.signal_paths import SignalPath, signal_faults_of
 from .artefacts import linearised, matrices_of_fmu
 
 if TYPE_CHECKING:
@@ -96,15 +96,15 @@ def _swings(loop: Loop) -> LoopModes:
     scenario, part = loop.scenario, loop.controller
     start, stop = fit_window(scenario)
     _refuse(scenario, start, stop)
-    ways = {way.signal: _sent(loop, way, start) for way in scenario.signals}
-    buses = {way.signal: way.pmu.bus for way in scenario.signals if way.pmu is not None}
-    lost = frozenset(name for name, way in ways.items() if way.lost)
+    paths = {path.signal: _sent(loop, path, start) for path in scenario.signals}
+    buses = {path.signal: path.pmu.bus for path in scenario.signals if path.pmu is not None}
+    lost = frozenset(name for name, path in paths.items() if path.lost)
     if part is None:
         buses = {}  # of which nobody hears
         key: tuple[Any, ...] = ("swings", str(loop.plant.file.path))
     else:
         matrices = tuple((k, v) for k, v in part.start.items() if k[:2] in ("A[", "B[", "C[", "D["))
-        sent = (*ways.items(), *buses.items())
+        sent = (*paths.items(), *buses.items())
         key = ("swings", str(loop.plant.file.path), str(part.file.path), matrices, sent)
     if len(loop.kept) > _MOST_KEPT:
         loop.kept.clear()
@@ -113,7 +113,7 @@ def _swings(loop: Loop) -> LoopModes:
         if part is None:
             loop.kept[key] = open_loop_modes(np.linalg.eigvals(grid.A).astype(complex), modes)
         else:
-            loop.kept[key] = LoopFunction(grid, _controller(loop, part, lost)).modes(ways, modes)
+            loop.kept[key] = LoopFunction(grid, _controller(loop, part, lost)).modes(paths, modes)
     cached: LoopModes = loop.kept[key]
     return cached
 
@@ -175,26 +175,26 @@ def _controller(loop: Loop, part: Instance, lost: frozenset[str]) -> control.Sta
         raise NotLinearError(f"{part.file.path.name} is no linear controller") from error
 
 
-def _sent(loop: Loop, way: Way, at_s: float) -> SignalWay:
+def _sent(loop: Loop, path: SignalPath, at_s: float) -> DelayedPath:
     """How a signal gets to the controller from `at_s` on, with the PMU where it has one."""
-    path = _way(loop.scenario.lines[way.u.partition(".")[0]], way.u, at_s)
-    if way.pmu is None:
-        return path
-    if way.pmu.quantity != "frequency":
+    delayed = _path(loop.scenario.lines[path.u.partition(".")[0]], path.u, at_s)
+    if path.pmu is None:
+        return delayed
+    if path.pmu.quantity != "frequency":
         raise NotLinearError(
-            f"{way.source} measures {way.pmu.quantity}: linear loops know its frequency only"
+            f"{path.source} measures {path.pmu.quantity}: linear loops know its frequency only"
         )
-    return replace(path, measured=way.pmu.filter(loop.case.frequency_hz, way.interval_s, way.source))
+    return replace(delayed, measured=path.pmu.filter(loop.case.frequency_hz, path.interval_s, path.source))
 
 
-def _way(line: ChannelLine | ConcentratorLine, end: str, at_s: float) -> SignalWay:
+def _path(line: ChannelLine | ConcentratorLine, end: str, at_s: float) -> DelayedPath:
     """How a signal gets to the controller from `at_s` on; random latencies by their mean."""
     delays = line.delays()
     loss, lost = 0.0, False
     if isinstance(line, ConcentratorLine):
-        way = line.signals[int(end.partition(".u")[2]) - 1]
-        loss = way.loss
-        lost = way.lost_s is not None and way.lost_s[0] <= at_s < way.lost_s[1]
+        row = line.signals[int(end.partition(".u")[2]) - 1]
+        loss = row.loss
+        lost = row.lost_s is not None and row.lost_s[0] <= at_s < row.lost_s[1]
     else:
         lost = any(start <= at_s < stop for start, stop in line.outages_s)
         if isinstance(line.loss, BernoulliLoss):
@@ -202,7 +202,7 @@ def _way(line: ChannelLine | ConcentratorLine, end: str, at_s: float) -> SignalW
         elif isinstance(line.loss, GilbertElliottLoss):
             bad = line.loss.good_to_bad / (line.loss.good_to_bad + line.loss.bad_to_good)
             loss = bad * line.loss.loss_bad + (1.0 - bad) * line.loss.loss_good
-    return SignalWay(
+    return DelayedPath(
         delays.network_s + delays.jitter_mean_s,
         line.reporting_interval_s,
         loss,

@@ -22,13 +22,13 @@ from ..results.run import METRICS_FILES, Run
 from ..results.trajectory_files import TrajectoryFiles, chosen
 from ..scenario.names import wrong_targets
 from ..scenario.scenario import FmuTable, Scenario, load_scenario
-from ..scenario.ways import Way
+from ..scenario.signal_paths import SignalPath
 from ..trajectory import Trajectory
 from .artefacts import growth_at_rest
 from .controllers import ControllerLike, controller_of
 from .detector import add_detector, flags
 from .instance import Fmus, Instance
-from .oddities import made_for_another, outputs_used, times_past_the_end
+from .scenario_warnings import made_for_another, outputs_used, times_past_the_end
 from .swing_signal import swing_of
 from .system import CONTROLLER, PLANT, System
 
@@ -52,7 +52,7 @@ def run_scenario(
     Raises
     ------
     ScenarioError, CaseError : a mistake in the scenario. StepError : an FMU failed, with the results so far.
-    A `ScenarioWarning` names what was hardly meant: `Run.warnings`.
+    A `ScenarioWarning` names what is probably unintended: `Run.warnings`.
     """
     loaded = load_scenario(scenario)
     if not loaded.case:
@@ -219,7 +219,7 @@ def system_of(
     with wrong:
         chosen(system.signals, scenario.record)  # refuses an unknown one here
     wrong.end(ScenarioError)
-    system.marks = list(scenario.marks_s)
+    system.event_times = list(scenario.event_times_s)
     system.at_rest = not scenario.fmus  # a case starts at its operating point; others anywhere
     return system
 
@@ -321,16 +321,16 @@ def _unknown_buses(scenario: Scenario, case: Case) -> list[str]:
     ]
 
 
-def _connect_source(system: System, way: Way, signals: Iterable[str], where: str) -> None:
-    """Connect what a way begins with: an output of the plant, or a PMU, which is added."""
-    pmu = way.pmu
+def _connect_source(system: System, path: SignalPath, signals: Iterable[str], where: str) -> None:
+    """Connect what a path begins with: an output of the plant, or a PMU, which is added."""
+    pmu = path.pmu
     if pmu is None:
-        _known(way.signal, signals, f"{where} is no output of the plant")
-        system.connections.append((f"{PLANT}.{way.signal}", way.u))
+        _known(path.signal, signals, f"{where} is no output of the plant")
+        system.connections.append((f"{PLANT}.{path.signal}", path.u))
         return
-    system.pmu(way.source, pmu.filter(system.case.frequency_hz, way.interval_s, where))
-    system.connections += [(f"{PLANT}.{source}", f"{way.source}.{u}") for source, u in pmu.inputs]
-    system.connections.append((f"{way.source}.{pmu.output}", way.u))
+    system.pmu(path.source, pmu.filter(system.case.frequency_hz, path.interval_s, where))
+    system.connections += [(f"{PLANT}.{source}", f"{path.source}.{u}") for source, u in pmu.inputs]
+    system.connections.append((f"{path.source}.{pmu.output}", path.u))
 
 
 def _without(names: Iterable[str], others: set[str]) -> list[str]:

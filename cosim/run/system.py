@@ -101,7 +101,7 @@ class System:
         self.channels: dict[str, Line] = {}
         self.connections: list[tuple[str, str]] = []
         self.latency_s: dict[str, float] = {}
-        self.warnings: list[str] = []  #: what the scenario says that was hardly meant
+        self.warnings: list[str] = []  #: what the scenario says that is probably unintended
         self.rounded: list[str] = []  #: times that lay between two ticks of the clock, and what they became
         self.parts: dict[str, Instance] = {}
         self._others: dict[str, Participant] = {}
@@ -110,7 +110,7 @@ class System:
         self.pmus: dict[str, PmuFilter] = {}
         self.bank: ControllerBank | None = None  #: of controllers, where the controller is one
         self.events: dict[str, list[Any]] = {}
-        self.marks: list[float] = []
+        self.event_times: list[float] = []
         self.at_rest = True  # until an instance comes in that may start anywhere
 
     # -- participants ---------------------------------------------------------------------
@@ -229,7 +229,7 @@ class System:
         self.put(Instance(name, file, line.parameters(where), block))
         self.channels[name] = line
         self.latency_s[name] = line.least_latency_s
-        self.marks += line.marks_s
+        self.event_times += line.event_times_s
         return self
 
     def pmu(self, name: str, measures: PmuFilter) -> System:
@@ -246,7 +246,7 @@ class System:
     ) -> System:
         """Add a concentrator: inputs ``u1``.., aligned outputs ``y1``.., ``valid1``.., ``age`` and counts.
 
-        signals : of each the keys of `SignalWay`. keys : of `ConcentratorLine`. ScenarioError : others.
+        signals : of each the keys of `PathTable`. keys : of `ConcentratorLine`. ScenarioError : others.
         """
         if line is None:
             table = {"signals": tuple(signals), **keys}
@@ -290,12 +290,12 @@ class System:
         event_parameters(self.plants[plant], events)  # refuses an unknown target here
         self.events[plant] = events
         self.rounded += rounded
-        self.marks += [t for t in (event.start_s, getattr(event, "end_s", None)) if t is not None]
+        self.event_times += [t for t in (event.start_s, getattr(event, "end_s", None)) if t is not None]
         return self
 
     def mark(self, *times_s: float) -> System:
         """Make these instants communication points, beside which signals may jump."""
-        self.marks += times_s
+        self.event_times += times_s
         return self
 
     # -- running --------------------------------------------------------------------------
@@ -326,9 +326,9 @@ class System:
         return [f"{name}.{p.name}" for name, i in self.parts.items() for p in i.file.description.outputs]
 
     @property
-    def marks_s(self) -> tuple[float, ...]:
+    def event_times_s(self) -> tuple[float, ...]:
         """Instants of events and outages inside the run, s."""
-        return tuple(sorted({t for t in self.marks if self.start_s < t < self.stop_s}))
+        return tuple(sorted({t for t in self.event_times if self.start_s < t < self.stop_s}))
 
     @property
     def points(self) -> tuple[int, ...]:
@@ -339,7 +339,7 @@ class System:
     def plan(self) -> LoopPlan:
         """The loop as it stands, without its participants. GraphError : an option that does not exist."""
         times: dict[str, Any] = {"stop_s": self.stop_s, "start_s": self.start_s, "step_s": self.step_s}
-        times |= {"marks_s": self.marks_s, "points": self.points, "latency_s": self.latency_s}
+        times |= {"event_times_s": self.event_times_s, "points": self.points, "latency_s": self.latency_s}
         return LoopPlan(self.connections, **times, at_rest=self.at_rest, **self.options)
 
     def master(

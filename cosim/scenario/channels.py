@@ -210,7 +210,7 @@ class ChannelLine(Table):
         return max(self.latency_s, self.pdc_wait_s)
 
     @property
-    def marks_s(self) -> tuple[float, ...]:
+    def event_times_s(self) -> tuple[float, ...]:
         """Instants at which the output may jump, packets aside: outages, the end of holding in one,
         faults of the signal."""
         event_times = {t for window in self.outages_s for t in window}

@@ -19,7 +19,7 @@ if TYPE_CHECKING:  # tables are checked before what runs them, numpy with it, is
     from ..master.instances import Value
 
 
-class SignalWay(Table):
+class PathTable(Table):
     """How one signal gets to the concentrator; `lost_s`: stamps in [start, end) never do."""
 
     latency_s: Seconds = 0.0  #: from the source to the concentrator
@@ -34,7 +34,7 @@ class ConcentratorLine(Table):
     """Several signals aligned by time stamp (semantics: models/c/concentrator/concentrator.h)."""
 
     #: what is aligned, a table each
-    signals: Annotated[tuple[SignalWay, ...], Field(min_length=1, max_length=MOST_SIGNALS)]
+    signals: Annotated[tuple[PathTable, ...], Field(min_length=1, max_length=MOST_SIGNALS)]
     reporting_interval_s: Annotated[float, Field(ge=1e-4)] = 0.02  #: time between the sets
     wait_s: Seconds = 0.1  #: longest wait for a set
     relative: bool = False  #: wait from the first arrival of a set on, not from its time stamp
@@ -77,9 +77,9 @@ class ConcentratorLine(Table):
     @property
     def least_latency_s(self) -> float:
         """The least time from input to output, s: the slowest signal, or the end of the wait."""
-        ways = [s.latency_s for s in self.signals]
-        end = (min(ways) if self.relative else 0.0) + self.wait_s
-        return self.latency_s + min(max(ways), end)
+        latencies = [s.latency_s for s in self.signals]
+        end = (min(latencies) if self.relative else 0.0) + self.wait_s
+        return self.latency_s + min(max(latencies), end)
 
     @property
     def timing(self) -> tuple[object, ...]:
@@ -87,7 +87,7 @@ class ConcentratorLine(Table):
         return (self.least_latency_s, self)
 
     @property
-    def marks_s(self) -> tuple[float, ...]:
+    def event_times_s(self) -> tuple[float, ...]:
         """Instants at which an output may jump, sets aside: none."""
         return ()
 
@@ -95,8 +95,8 @@ class ConcentratorLine(Table):
     def steady(self) -> Self:
         """The same concentrator with nothing random, nothing lost and nothing wrong."""
         off = {"jitter_s": 0.0, "loss": 0.0, "lost_s": None, "signal_faults": ()}
-        ways = tuple(s.model_copy(update=off) for s in self.signals)
-        return self.model_copy(update={"signals": ways})
+        tables = tuple(s.model_copy(update=off) for s in self.signals)
+        return self.model_copy(update={"signals": tables})
 
     @property
     def random(self) -> bool:

@@ -9,7 +9,7 @@ from pydantic import Field
 
 from interarea.models.table import Table
 
-from .ways import Way
+from .signal_paths import SignalPath
 
 if TYPE_CHECKING:  # tables are checked before what runs them, numpy with it, is loaded
     from ..master.instances import Value
@@ -41,22 +41,22 @@ class DetectorTable(Table):
     return_s: Annotated[float, Field(ge=0.0, examples=[5.0])] = 60.0
     wait_s: Annotated[float, Field(ge=0.0)] = 1.0  #: signals later than this are not waited for
 
-    def wrong(self, ways: Sequence[Way], names: Collection[str]) -> Iterator[str]:
+    def wrong(self, paths: Sequence[SignalPath], names: Collection[str]) -> Iterator[str]:
         """Yield why these signals cannot be compared; names : of other instances."""
         if DETECTOR in names:
             yield f"detector: the name of its instance, {DETECTOR!r}, is taken, allowed: one not in use"
-        if not ways:
+        if not paths:
             yield "detector: no signal travels through a channel or a concentrator, allowed: at least one"
-        without = [w.signal for w in ways if not w.interval_s]
+        without = [w.signal for w in paths if not w.interval_s]
         if without:
             yield (
                 f"detector: {', '.join(without)} travels without packets, allowed: set reporting_interval_s "
                 "of its channel"
             )
-        other = [w.signal for w in ways if w.pmu is not None and w.pmu.quantity != "frequency"]
+        other = [w.signal for w in paths if w.pmu is not None and w.pmu.quantity != "frequency"]
         if other:
             yield f"detector: {', '.join(other)} is no frequency, allowed: speeds (dw) and frequencies"
-        yield from self._wrong_packets(sorted({w.interval_s for w in ways if w.interval_s}))
+        yield from self._wrong_packets(sorted({w.interval_s for w in paths if w.interval_s}))
 
     def _wrong_packets(self, intervals: Sequence[float]) -> Iterator[str]:
         if len(intervals) > 1:
@@ -68,11 +68,11 @@ class DetectorTable(Table):
                 f"1 to {_MOST_STAMPS} packets"
             )
 
-    def parameters(self, ways: Sequence[Way]) -> dict[str, Value]:
+    def parameters(self, paths: Sequence[SignalPath]) -> dict[str, Value]:
         """Return the parameters of the FMU for these signals."""
-        quantum = max(w.quantum for w in ways)
+        quantum = max(w.quantum for w in paths)
         start: dict[str, Value] = {
-            "interval": ways[0].interval_s,
+            "interval": paths[0].interval_s,
             "wait": self.wait_s,
             "average": self.average_s,
             "return_time": self.return_s,
@@ -80,7 +80,7 @@ class DetectorTable(Table):
             "share": self.apart_share,
             "repeats": self.repeat_frames,
         }
-        for i in range(1, len(ways) + 1):
+        for i in range(1, len(paths) + 1):
             start |= {
                 f"range[{i}]": self.range_pu,
                 f"jump[{i}]": self.jump_pu_per_s,
@@ -90,11 +90,11 @@ class DetectorTable(Table):
         return start
 
 
-def few_signals(ways: Sequence[Way]) -> list[str]:
+def few_signals(paths: Sequence[SignalPath]) -> list[str]:
     """Return a line where so few signals are compared that none can be named."""
-    if len(ways) >= 3:
+    if len(paths) >= 3:
         return []
     return [
-        f"detector: it sees {len(ways)} signals; of two that disagree it cannot say which is wrong, so only "
+        f"detector: it sees {len(paths)} signals; of two that disagree it cannot say which is wrong, so only "
         "range, jump and repetition are tested; add channels of witnesses"
     ]

@@ -59,7 +59,7 @@ def grid_of(folder: Path, named: str) -> Any:
     from interarea.models.case.document import outline
 
     place = beside(folder, named)
-    if isinstance(place, str) or not place.exists():  # which is told before models of pydantic are loaded
+    if isinstance(place, str) or not place.exists():  # which is reported before models of pydantic are loaded
         return outline(place)
     from interarea.models.case.case import load_case
 
@@ -125,7 +125,7 @@ def _wrong_signals(case: Case, table: Mapping[str, Any], where: str, folder: Pat
     """Yield a line for each signal that the plant of the case does not put out, and each PMU at no bus."""
     speeds = {f"{m.name}_dw" for m in case.machines}  # told without the plant, which takes numpy
     known: list[str] = []
-    for place, row in _ways(table):
+    for place, row in _signal_rows(table):
         signal, pmu = row.get("signal"), row.get("pmu")
         if isinstance(pmu, Mapping):
             bus, buses = pmu.get("bus"), [str(b.number) for b in case.buses]
@@ -141,7 +141,7 @@ def _wrong_signals(case: Case, table: Mapping[str, Any], where: str, folder: Pat
                 yield f"{where}: {place}.signal = {signal!r} is no output of the plant; {hint}"
 
 
-def _ways(table: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[str, Any]]]:
+def _signal_rows(table: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[str, Any]]]:
     """Yield where signals are named and their tables, whatever else stands there."""
     for kind in ("channels", "concentrators"):
         rows = table.get(kind)

@@ -18,7 +18,7 @@ A scenario file is TOML:
     start_s = 1.0
     end_s = 1.2
 
-FMUs of one's own, whatever made them, with the plant or without a case:
+User-defined FMUs, whatever made them, with the plant or without a case:
 
     connections = [["plant.G2_dw", "remote", "mine.u"], ["mine.y", "plant.G4_vs"]]  # channels on the way
     [fmus.mine]
@@ -107,7 +107,7 @@ from .detector import DetectorTable
 from .expectation import Expectation
 from .master_table import MasterTable
 from .names import NAMED_CONTROLLERS, beside, grid_of, wrong_names
-from .ways import ChannelTable, ConcentratorTable, Way, signal_faults_of, ways_of
+from .signal_paths import ChannelTable, ConcentratorTable, SignalPath, signal_faults_of, signal_paths_of
 
 if TYPE_CHECKING:  # the file is checked before what a case takes is loaded
     from interarea.models.case.case import Case
@@ -163,14 +163,14 @@ class Scenario(Table):
     stop_s: Annotated[float, Field(gt=0.0)]  #: end of the run
     #: communication step; default: chosen from latencies and events
     step_s: Annotated[float, Field(gt=0.0)] | None = None
-    #: name -> the way of one signal; a signal without one arrives undelayed
+    #: name -> the path of one signal; a signal without one arrives undelayed
     channels: Mapping[ShortName, ChannelTable] = {}
     #: name -> several signals aligned by time stamp (IEEE C37.247)
     concentrators: Mapping[ShortName, ConcentratorTable] = {}
-    fmus: Mapping[ShortName, FmuTable] = {}  #: name -> an FMU of one's own
+    fmus: Mapping[ShortName, FmuTable] = {}  #: name -> a user-defined FMU
     #: says which signals are trusted, and takes the others away from the controller
     detector: DetectorTable | None = None
-    connections: tuple[tuple[str, ...], ...] = ()  #: [from, channels on the way, to] for FMUs of one's own
+    connections: tuple[tuple[str, ...], ...] = ()  #: [from, channels on the way, to] for user-defined FMUs
     #: refuse an FMU whose description breaks the standard even where it does no harm; else a warning tells
     strict: bool = False
     #: outputs of the plant beside those it shows by itself, by pattern: bus16.v, bus*.angle, branch[1-2].i
@@ -207,7 +207,7 @@ class Scenario(Table):
     @model_validator(mode="after")
     def _fits(self) -> Self:
         """Refuse what does not go together, all of it at once."""
-        wrong = [*self._without_a_case(), *self._names(), *self._ways(), *self._times()]
+        wrong = [*self._without_a_case(), *self._names(), *self._signal_ends(), *self._times()]
         changed = self.controller_gain != 1.0 or self.controller_limit_pu is not None
         if changed and (self.controller == "none" or self.controller.endswith(".fmu")):
             wrong.append(
@@ -255,7 +255,7 @@ class Scenario(Table):
             yield "case is missing (or fmus: a scenario needs something to run)"
             return
         if self.event or self.controller != "none":
-            yield "event and controller need a case; FMUs of one's own come under fmus"
+            yield "event and controller need a case; user-defined FMUs come under fmus"
         if self.plant or self.show or not self.as_in_file:
             yield "plant, show and operating_point need a case"
 
@@ -272,18 +272,18 @@ class Scenario(Table):
                 seen.add(name)
         if self.detector is not None:
             yield from self.detector.wrong(self.signals, seen)
-        for way in self.signals:
-            if way.source in seen:
-                yield f"{way.source}: the name of the PMU before {way.u} is taken, allowed: one not in use"
+        for path in self.signals:
+            if path.source in seen:
+                yield f"{path.source}: the name of the PMU before {path.u} is taken, allowed: one not in use"
 
-    def _ways(self) -> Iterator[str]:
+    def _signal_ends(self) -> Iterator[str]:
         """Yield each way that nothing travels, and each signal that travels twice."""
-        ways = [(f"channels.{n}", c.signal, n) for n, c in self.channels.items()]
+        ends = [(f"channels.{n}", c.signal, n) for n, c in self.channels.items()]
         for name, table in self.concentrators.items():
             for i, s in enumerate(table.signals, start=1):
-                ways.append((f"concentrators.{name}.signals {i}", s.signal, f"{name}.u{i}"))
+                ends.append((f"concentrators.{name}.signals {i}", s.signal, f"{name}.u{i}"))
         taken: dict[str, str] = {}
-        for where, signal, end in ways:
+        for where, signal, end in ends:
             if signal and not self.case:
                 yield f"{where}: signal needs a case; connect {end} by connections"
             if not signal and not any(end in path for path in self.connections):
@@ -302,9 +302,9 @@ class Scenario(Table):
         return {**self.channels, **self.concentrators}
 
     @property
-    def signals(self) -> list[Way]:
+    def signals(self) -> list[SignalPath]:
         """What travels to the controller, and how."""
-        return list(ways_of(self.channels, self.concentrators))
+        return list(signal_paths_of(self.channels, self.concentrators))
 
     @property
     def shows(self) -> tuple[str, ...]:
@@ -315,12 +315,12 @@ class Scenario(Table):
         return tuple(dict.fromkeys([*self.show, *(n for n in named if _OF_NETWORK.fullmatch(n))]))
 
     @property
-    def marks_s(self) -> tuple[float, ...]:
+    def event_times_s(self) -> tuple[float, ...]:
         """Instants of events and outages inside the run."""
         from interarea.models.case.events import instants
 
         times = [t for e in self.event for t in instants(e)]
-        times += [t for c in self.lines.values() for t in c.marks_s]
+        times += [t for c in self.lines.values() for t in c.event_times_s]
         return tuple(sorted({t for t in times if 0.0 < t < self.stop_s}))
 
     @property
@@ -399,23 +399,23 @@ def _frequency_hz(table: Mapping[str, Any], where: str, folder: Path) -> float:
 
 
 def _checked(given: dict[str, Any], where: str, folder: Path, frequency_hz: float | None) -> Scenario:
-    found = Collected()
+    errors = Collected()
     table, events = given, ()
-    with found:
+    with errors:
         table = in_seconds(given, lambda: frequency_hz or _frequency_hz(given, where, folder))
-    if found.lines:  # cycles of some frequency, for the rest to be looked at
+    if errors.lines:  # cycles of some frequency, for the rest to be looked at
         table = in_seconds(given, lambda: 50.0)
-    with found:
+    with errors:
         events = _events_of(table.get("event", []), where)
     try:
         scenario = Scenario.model_validate({"folder": folder, **table, "event": events})
     except UserError as error:
-        found.lines += error.args
+        errors.lines += error.args
     except ValidationError as error:
-        found.lines += [f"{where}: {line}" for line in mistakes(error, Scenario, hidden=_HIDDEN)]
-    if found.lines:
-        found.lines += [line for line in wrong_names(table, where, folder) if line not in found.lines]
-        raise ScenarioError(*found.lines)
+        errors.lines += [f"{where}: {line}" for line in mistakes(error, Scenario, hidden=_HIDDEN)]
+    if errors.lines:
+        errors.lines += [line for line in wrong_names(table, where, folder) if line not in errors.lines]
+        raise ScenarioError(*errors.lines)
     rounded = (*scenario.rounded, *roundings(table, scenario))
     return scenario.model_copy(update={"rounded": rounded}) if rounded else scenario
 

@@ -145,14 +145,14 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, required=True, help="JSON file that [detector] file names")
     asked = parser.parse_args(words)
     try:
-        found = design_detector(asked.case, asked.controller, asked.signals)
+        design = design_detector(asked.case, asked.controller, asked.signals)
     except UserError as error:
         print(*error.args, sep="\n", file=sys.stderr)
         return 2
     print(
-        f"{found.save(asked.out)}: made of {found.made_of} runs; largest score of right signals in "
-        f"{found.judged_by} others {found.largest:.2f}, threshold {found.patterns.threshold:.2f}; a "
-        f"signal may span {found.patterns.alone:.2f} times as much as the others"
+        f"{design.save(asked.out)}: made of {design.made_of} runs; largest score of right signals in "
+        f"{design.judged_by} others {design.largest:.2f}, threshold {design.patterns.threshold:.2f}; a "
+        f"signal may span {design.patterns.alone:.2f} times as much as the others"
     )
     return 0
 

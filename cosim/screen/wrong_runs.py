@@ -53,16 +53,17 @@ def wrong_kinds(rated_hz: float, mode_hz: float) -> dict[str, dict[str, Any]]:
 
 @dataclass(frozen=True)
 class WrongRun:
-    """One run. ways : signal -> latency, s, those of the controller and witnesses. wrong : signal and its
-    table of `signal_faults` without start (of a swap `other` is a name); None: all are right. detector :
-    table of a scenario; None: none.
+    """One run. latency_s_of : signal -> latency, s, those of the controller and witnesses.
+
+    wrong : signal and its table of `signal_faults` without start (of a swap `other` is a name); None: all
+        are right. detector : table of a scenario; None: none.
 
     A swapped signal and its other travel through one concentrator with all the rest: a channel holds one.
     """
 
     case: str
     controller: Judged | None
-    ways: Mapping[str, float]
+    latency_s_of: Mapping[str, float]
     events: Sequence[Mapping[str, Any]]
     wrong: tuple[str, Mapping[str, Any]] | None = None
     detector: Mapping[str, Any] | None = None
@@ -74,42 +75,42 @@ class WrongRun:
         document: dict[str, Any] = {"case": self.case, "stop_s": self.stop_s, "event": list(self.events)}
         if self.controller is None:
             return document
-        ways = {s: self._way(s, t) for s, t in self.ways.items()}
+        tables = {s: self._signal_table(s, t) for s, t in self.latency_s_of.items()}
         if self.wrong is not None and self.wrong[1]["kind"] == SWAP:
-            signals = list(ways.values())
-            wait_s = max(self.ways.values())
+            signals = list(tables.values())
+            wait_s = max(self.latency_s_of.values())
             line = {"signals": signals, "reporting_interval_s": self.interval_s, "wait_s": wait_s}
             document["concentrators"] = {"pdc": line}
         else:
             document["channels"] = {
-                f"from_{s}": {**way, "reporting_interval_s": self.interval_s} for s, way in ways.items()
+                f"from_{s}": {**table, "reporting_interval_s": self.interval_s} for s, table in tables.items()
             }
         return document if self.detector is None else {**document, "detector": dict(self.detector)}
 
-    def _way(self, signal: str, latency_s: float) -> dict[str, Any]:
-        way: dict[str, Any] = {"signal": signal, "latency_s": latency_s}
+    def _signal_table(self, signal: str, latency_s: float) -> dict[str, Any]:
+        table: dict[str, Any] = {"signal": signal, "latency_s": latency_s}
         if self.wrong is not None and self.wrong[0] == signal:
             fault = {**self.wrong[1], "start_s": WRONG_S}
             if fault["kind"] == SWAP:
-                fault["other"] = 1 + list(self.ways).index(fault["other"])
-            way["signal_faults"] = [fault]
-        return way
+                fault["other"] = 1 + list(self.latency_s_of).index(fault["other"])
+            table["signal_faults"] = [fault]
+        return table
 
 
 @dataclass(frozen=True)
 class Signals:
     """What a controller sees that can be compared, and what is only compared.
 
-    ways : speed among the controller's inputs -> latency, s. witnesses : speeds that it does not see.
+    latency_s_of : speed among the controller's inputs -> latency, s. witnesses : speeds that it does not see.
     """
 
-    ways: Mapping[str, float]
+    latency_s_of: Mapping[str, float]
     witnesses: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def all(self) -> dict[str, float]:
         """Both."""
-        return {**self.ways, **self.witnesses}
+        return {**self.latency_s_of, **self.witnesses}
 
 
 def signals_of(case: Case, controller: Judged, compared: Sequence[str] = ()) -> Signals:
@@ -123,27 +124,29 @@ def signals_of(case: Case, controller: Judged, compared: Sequence[str] = ()) -> 
     """
     speeds = [f"{m.name}_dw" for m in case.machines]
     own = {s for names in own_signals(controller.outputs, controller.inputs).values() for s in names}
-    ways = {s: 0.0 if s in own else REMOTE_S for s in controller.inputs if s in speeds}
-    if not ways:
+    latency_s_of = {s: 0.0 if s in own else REMOTE_S for s in controller.inputs if s in speeds}
+    if not latency_s_of:
         raise ScenarioError(
             f"{controller.name}: it sees {', '.join(controller.inputs)}, allowed: a controller with "
             f"the speed of a machine of {case.name} among its signals"
         )
     if compared:
-        return Signals(ways, _witnesses(controller.name, ways, compared))
-    others = _by_area(case, [s for s in speeds if s not in ways])
-    return Signals(ways, dict.fromkeys(others[: max(0, LEAST_SIGNALS - len(ways))], WITNESS_S))
+        return Signals(latency_s_of, _witnesses(controller.name, latency_s_of, compared))
+    others = _by_area(case, [s for s in speeds if s not in latency_s_of])
+    return Signals(
+        latency_s_of, dict.fromkeys(others[: max(0, LEAST_SIGNALS - len(latency_s_of))], WITNESS_S)
+    )
 
 
-def _witnesses(name: str, ways: Mapping[str, float], compared: Sequence[str]) -> dict[str, float]:
-    """Return what a detector compares besides `ways`."""
-    missing = [s for s in ways if s not in compared]
+def _witnesses(name: str, latency_s_of: Mapping[str, float], compared: Sequence[str]) -> dict[str, float]:
+    """Return what a detector compares besides `latency_s_of`."""
+    missing = [s for s in latency_s_of if s not in compared]
     if missing:
         raise ScenarioError(
             f"{name}: the detector compares {', '.join(compared)} and not {', '.join(missing)}, allowed: one "
             "designed for every speed that the controller sees"
         )
-    return {s: WITNESS_S for s in compared if s not in ways}
+    return {s: WITNESS_S for s in compared if s not in latency_s_of}
 
 
 def _by_area(case: Case, signals: Sequence[str]) -> list[str]:
@@ -162,7 +165,7 @@ def disturbances_of(case: Case, place: FaultPlace) -> dict[str, list[dict[str, A
     end_s = round(START_S + 8.0 / case.frequency_hz, 9)
     pulse = {"kind": "vref_pulse", "machine": largest, "size_pu": 0.05, "start_s": START_S, "end_s": 1.3}
     fault = {"kind": "bus_fault", "bus": place.bus, "start_s": START_S, "end_s": end_s}
-    found: dict[str, list[dict[str, Any]]] = {REST: [], PULSE: [pulse], FAULT: [fault]}
+    disturbances: dict[str, list[dict[str, Any]]] = {REST: [], PULSE: [pulse], FAULT: [fault]}
     if place.trip is not None:
-        found[TRIP] = [{"kind": "branch_trip", "branch": place.trip, "start_s": START_S}]
-    return found
+        disturbances[TRIP] = [{"kind": "branch_trip", "branch": place.trip, "start_s": START_S}]
+    return disturbances

@@ -228,14 +228,14 @@ def certify_wrong_signals(
             # lanes step together runs of the same structure
             for first in range(0, len(jobs), TOGETHER):
                 part = jobs[first : first + TOGETHER]
-                found = runs.judged([run for _, run in part], [None] * len(part))
-                for ((kind, d, signal), run), (outcome, data) in zip(part, found, strict=True):
+                outcomes = runs.judged([run for _, run in part], [None] * len(part))
+                for ((kind, d, signal), run), (outcome, data) in zip(part, outcomes, strict=True):
                     names = (kind, signal, d, point)
                     rows.append(_row(names, run, outcome, data, bare[d], case.frequency_hz))
                 progress((number + (first + len(part)) / len(jobs)) / len(grids))
     out = tuple(_with_signal_out(grids, controller, signals, cache))
     return WrongCertificate(
-        controller.name, case.name, signals.ways, tuple(signals.witnesses), table, tuple(rows), out
+        controller.name, case.name, signals.latency_s_of, tuple(signals.witnesses), table, tuple(rows), out
     )
 
 
@@ -251,17 +251,17 @@ def _jobs(
     """Yield (kind, disturbance, signal) and run, those of the same structure in a row."""
     chosen = [d for d in events if disturbances is None or d in disturbances]
     for table in (None, detector):
-        ways = signals.ways if table is None else signals.all
+        latency_s_of = signals.latency_s_of if table is None else signals.all
         for d in chosen:
-            yield (RIGHT, d, ""), WrongRun(case.name, controller, ways, events[d], None, table)
-        for kind, signal, d in product(kinds, signals.ways, chosen):
+            yield (RIGHT, d, ""), WrongRun(case.name, controller, latency_s_of, events[d], None, table)
+        for kind, signal, d in product(kinds, signals.latency_s_of, chosen):
             wrong = dict(kinds[kind])
             if wrong["kind"] == SWAP:
-                order = list(signals.ways)
+                order = list(signals.latency_s_of)
                 if len(order) < 2:
                     continue  # the controller sees no other
                 wrong["other"] = order[(order.index(signal) + 1) % len(order)]
-            run = WrongRun(case.name, controller, ways, events[d], (signal, wrong), table)
+            run = WrongRun(case.name, controller, latency_s_of, events[d], (signal, wrong), table)
             yield (kind, d, signal), run
 
 
@@ -275,7 +275,7 @@ def _row(
 ) -> WrongRow:
     isolated: dict[str, float] = {}
     if run.detector is not None:
-        for s in run.ways:
+        for s in run.latency_s_of:
             reason = data[f"detector.{s}_reason"]
             if (reason > 0).any():
                 isolated[s] = float(data.time_s[(reason > 0).argmax()]) - WRONG_S
@@ -296,10 +296,10 @@ def _with_signal_out(
         p: FamilyPlant.of(c, tuple(controller.inputs), tuple(controller.outputs), cache)
         for p, c in grids.items()
     }
-    for signal in signals.ways:
+    for signal in signals.latency_s_of:
         K = controller.acting((signal,)) if isinstance(controller, ControllerBank) else controller
         lost = (signal,) if signal in K.inputs else ()
-        late = {s: t for s, t in signals.ways.items() if s in K.inputs and s not in lost}
+        late = {s: t for s, t in signals.latency_s_of.items() if s in K.inputs and s not in lost}
         condition = Condition(f"{signal} isolated", lost, late)
         for point, plant in plants.items():
             row = family_row(point, plant.judged, K.system, condition, inter_area_band(plant.modes))

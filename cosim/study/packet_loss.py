@@ -59,7 +59,7 @@ def mean_square_record(
 def mean_square_rows(
     plant: control.StateSpace, controllers: Mapping[str, Controller], packets: Mapping[str, Any]
 ) -> list[dict[str, Any]]:
-    """Return one row per controller and rule on loss; both signals travel in packets and lose them alike.
+    """Return one row per controller and rule on loss; both signals travel in packets and lose them equally.
 
     plant : full plant without reference angle, speeds in rad/s. packets : the study's table of that name.
 

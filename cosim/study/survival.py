@@ -260,9 +260,9 @@ class Faults:
             runs = [self._run(each, self.clearing_s, ceil(stop_s)) for each, stop_s in which.items()]
             return dict(zip(which, self._runs.outcomes(runs, [roots[s] for s in which]), strict=True))
 
-        found = of(lengths)
-        doubtful = [s for s, run in found.items() if run.synchronous and not run.stable]
-        return found | of({s: LONG_S for s in doubtful if lengths[s] < LONG_S})
+        runs = of(lengths)
+        unclear = [s for s, run in runs.items() if run.synchronous and not run.stable]
+        return runs | of({s: LONG_S for s in unclear if lengths[s] < LONG_S})
 
     def largest_angles(self, clearing_s: Mapping[Setting, float]) -> dict[Setting, float]:
         """Return the largest angle between two machines (rad) in the run of each setting; inf: it failed."""

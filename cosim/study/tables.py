@@ -413,7 +413,7 @@ class StatementTable(Table):
     parts: Annotated[tuple[Word, ...], Field(min_length=1)]  #: comparisons of the evidence
     ours: Word  #: what is found; `{name:.3f}` puts evidence in
     why: str = ""  #: why it differs
-    always: bool = False  #: whether `why` is told where it agrees, too
+    always: bool = False  #: whether `why` is printed where it agrees, too
 
 
 class CorrectionTable(Table):

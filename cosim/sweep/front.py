@@ -57,7 +57,7 @@ def run_sweep(
 
     workers : processes on this machine; default one for each core. scheduler : address of a dask scheduler
         whose workers compute instead. large : confirm more than `LARGEST` runs.
-    controllers : of one's own, by the name that the scenario or a parameter on `controller` has for them.
+    controllers : user-defined, by the name that the scenario or a parameter on `controller` has for them.
     retry : "failed": runs that failed before are done again too.
 
     Raises

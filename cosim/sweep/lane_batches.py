@@ -62,7 +62,7 @@ def by_plant(jobs: Sequence[Job]) -> list[Job]:
 
 
 def common_s(jobs: Sequence[Job]) -> float:
-    """Return until when these jobs, in the order of `sweep_forks`, are all alike; 0: from the start not."""
+    """Return until when these jobs, in the order of `sweep_forks`, are identical; 0: not from the start."""
     return max(0.0, min((job.like_next_s for job in jobs[:-1]), default=0.0))
 
 

@@ -106,7 +106,7 @@ def plan_sweep(
 ) -> SweepPlan:
     """Load the cases, design the controllers, try the values; nothing is written but into `cache`.
 
-    large : more than `LARGEST` runs are wanted. controllers : of one's own, by the name that the scenario or
+    large : confirm more than `LARGEST` runs. controllers : user-defined, by the name that the scenario or
         a parameter on `controller` has for them.
 
     Raises

@@ -11,7 +11,7 @@ Paths (the first word says where):
     controller.PARAMETER            any parameter of its FMU, such as limit or "A[1,1]"
     channels.NAME.KEY               any entry of a channel; NAME may be *
     concentrators.NAME.KEY          any entry of a concentrator, NAME may be *; signals.K.KEY: of its signal K
-    fmus.NAME.start.VARIABLE        start value of an FMU of one's own
+    fmus.NAME.start.VARIABLE        start value of a user-defined FMU
     event.K.KEY                     entry of event K, counted from 1
     stop_s, step_s, master.KEY      the run itself
 """
@@ -34,7 +34,7 @@ from ..scenario.channels import derived_seed
 from ..scenario.document import scenario_document
 from ..scenario.master_table import MasterTable
 from ..scenario.scenario import Scenario, load_scenario
-from ..scenario.ways import ChannelTable, ConcentratorTable, SignalTable
+from ..scenario.signal_paths import ChannelTable, ConcentratorTable, SignalTable
 from .spec import Path_, Sweep
 from .values import Value
 

@@ -30,7 +30,7 @@ def prepare(plan: SweepPlan, cache: Path) -> list[Path]:
     base = plan.sweep.base
     detected = base.detector is not None
     if detected:
-        files.append(detector_fmu(tuple(way.signal for way in base.signals), cache, patterns_of(base)))
+        files.append(detector_fmu(tuple(path.signal for path in base.signals), cache, patterns_of(base)))
     if any(path.pmu for path in plan.sweep.base.signals):
         files.append(pmu_fmu(cache))
     cases = {name: plan.case(name) for name in plan.cases}

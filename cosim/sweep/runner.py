@@ -147,7 +147,7 @@ class Runner:
         described = []
         for job in jobs:
             base = tuple(v for name, v in job.values.items() if name not in self._late)
-            with suppress(Exception):  # what is wrong with a point is told when it is run
+            with suppress(Exception):  # what is wrong with a point is reported when it is run
                 job = replace(job, point=point_of(sweep, job.values, base=self._packed), base=base)
                 if forks and job.point is not None:
                     job = replace(job, actions=actions_of(job.point.scenario))
@@ -341,7 +341,7 @@ class Runner:
         key = (
             scenario.stop_s,
             scenario.step_s,
-            scenario.marks_s,
+            scenario.event_times_s,
             tuple(c.timing for c in scenario.lines.values()),
             scenario.master,
             tuple(system.connections),

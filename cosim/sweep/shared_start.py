@@ -35,7 +35,7 @@ Instances = Mapping[str, Instance]
 class Job:
     """A run to be made: its values, and where runs may share their beginning its point and what acts when.
 
-    base : values of the parameters that act from the start. like_next_s : until when the next job is alike.
+    base : values of the parameters that act from the start. like_next_s : until when the next job is equal.
     """
 
     run: int
@@ -102,7 +102,7 @@ def in_order(jobs: Sequence[Job]) -> list[Job]:
         first.setdefault(job.base, len(first))
     linked = _linked(sorted(jobs, key=lambda job: (first[job.base], job.actions)))
     more = _cost_s(linked) - _cost_s(provided)
-    several = len({job.point.scenario.marks_s for job in jobs if job.point is not None}) > 1
+    several = len({job.point.scenario.event_times_s for job in jobs if job.point is not None}) > 1
     # sorted, one fork at a time is enough for instants that move
     return linked if more < 0.0 or (more == 0.0 and several) else provided
 
@@ -121,7 +121,11 @@ def _cost_s(jobs: Sequence[Job]) -> float:
         scenario = job.point.scenario
         shared = 0.0 if before is None else min(max(before.like_next_s, 0.0), scenario.stop_s)
         total += scenario.stop_s - shared
-        if before is None or before.point is None or before.point.scenario.marks_s != scenario.marks_s:
+        if (
+            before is None
+            or before.point is None
+            or before.point.scenario.event_times_s != scenario.event_times_s
+        ):
             total += _NEW_CLOCK_STEPS * (scenario.step_s or 0.01)
     return total
 

@@ -297,7 +297,7 @@ def _reachable_rate(
 
 
 def _coordinates(loops: list[Matrix], parts: list[Matrix]) -> Matrix:
-    """T of coordinates z = T x in which the loops are alike in size: parts balanced, then one mean V."""
+    """T of coordinates z = T x in which the loops have similar size: parts balanced, then one mean V."""
     T = block_diag(*parts)
     inverse = np.linalg.inv(T)
     eye = np.eye(len(T))

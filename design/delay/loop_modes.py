@@ -1,6 +1,6 @@
 r"""All swings of a closed loop with latency, packets and loss, and which mode of the open loop each one is.
 
-With the plant G, the controller K and the way H_i of each signal the characteristic equation is
+With the plant G, the controller K and the path H_i of each signal the characteristic equation is
 
 .. math:: f(s) = \det\big(I - K(s)\, \mathrm{diag}(H_i(s))\, G(s)\big) = 0,
 
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from ..linear.matrices import LinearMatrices
 
 ComplexArray = npt.NDArray[np.complex128]
-Way = Callable[[ComplexArray], ComplexArray]
+Transfer = Callable[[ComplexArray], ComplexArray]
 
 #: frequencies in which a root counts as a swing, Hz
 SWING_HZ = (0.1, 2.5)
@@ -47,7 +47,7 @@ _ASIDE = 1e-7 + 1e-7j
 
 
 @dataclass(frozen=True)
-class SignalWay:
+class DelayedPath:
     """How a signal gets to the controller, as a linear system: what it does to the mean of the signal.
 
     latency_s : transport. interval_s : of packets whose value is held until the next; 0: continuous.
@@ -89,7 +89,7 @@ class LoopModes:
     """Roots of a closed loop, 1/s.
 
     roots : all within `SWING_HZ` with a damping ratio below 0.6 or so, least damped first. named : mode of
-    the open loop -> its root in the closed one; a mode whose way was lost has none.
+    the open loop -> its root in the closed one; a mode whose path was lost has none.
     """
 
     roots: tuple[complex, ...]
@@ -132,12 +132,12 @@ class LoopFunction:
         self._G, self._K = transfer_matrix(G), transfer_matrix(controller)
         self.poles = np.concatenate([self._G.poles, self._K.poles])
 
-    def loop(self, paths: Mapping[str, SignalWay], gain: float = 1.0) -> Characteristic:
+    def loop(self, paths: Mapping[str, DelayedPath], gain: float = 1.0) -> Characteristic:
         """Return the characteristic function for signals that travel so; those not named as they are."""
-        direct = SignalWay()
+        direct = DelayedPath()
         return Characteristic(self._G, self._K, [paths.get(name, direct) for name in self.signals], gain)
 
-    def modes(self, paths: Mapping[str, SignalWay], open_loop: Mapping[str, complex]) -> LoopModes:
+    def modes(self, paths: Mapping[str, DelayedPath], open_loop: Mapping[str, complex]) -> LoopModes:
         """Return all swings of the loop, and what became of the modes of the open one.
 
         open_loop : mode -> its eigenvalue, 1/s.
@@ -151,7 +151,7 @@ class LoopFunction:
         return LoopModes(tuple(sorted(map(complex, roots), key=damping_ratio)), named)
 
     def _followed(
-        self, paths: Mapping[str, SignalWay], open_loop: Mapping[str, complex]
+        self, paths: Mapping[str, DelayedPath], open_loop: Mapping[str, complex]
     ) -> dict[str, complex]:
         """Follow each mode: gain, then latency; where that ends in one root for two, gain at the latency."""
 
@@ -200,8 +200,8 @@ class LoopFunction:
 class Characteristic:
     """f(s) = det(I - K H G) and its logarithmic derivative, at many points at once."""
 
-    def __init__(self, G: TransferMatrix, K: TransferMatrix, paths: list[SignalWay], gain: float) -> None:
-        self._G, self._K, self._ways, self._gain = G, K, paths, gain
+    def __init__(self, G: TransferMatrix, K: TransferMatrix, paths: list[DelayedPath], gain: float) -> None:
+        self._G, self._K, self._paths, self._gain = G, K, paths, gain
 
     def value(self, s: ComplexArray) -> ComplexArray:
         """Return f (N,)."""
@@ -225,11 +225,11 @@ class Characteristic:
         return result
 
     @property
-    def _both(self) -> tuple[list[Way], list[Way]]:
-        return [path.transfer for path in self._ways], [path.slope for path in self._ways]
+    def _both(self) -> tuple[list[Transfer], list[Transfer]]:
+        return [path.transfer for path in self._paths], [path.slope for path in self._paths]
 
     def _sent(self, s: ComplexArray) -> ComplexArray:
-        H = self._gain * np.stack([path.transfer(s) for path in self._ways], axis=-1)
+        H = self._gain * np.stack([path.transfer(s) for path in self._paths], axis=-1)
         return np.asarray(self._K.at(s) * H[:, None, :])
 
 
@@ -387,5 +387,5 @@ def _band() -> tuple[float, float]:
     return 2.0 * np.pi * SWING_HZ[0], 2.0 * np.pi * SWING_HZ[1]
 
 
-def _share(way: SignalWay, t: float) -> SignalWay:
-    return replace(way, latency_s=t * way.latency_s, interval_s=t * way.interval_s)
+def _share(path: DelayedPath, t: float) -> DelayedPath:
+    return replace(path, latency_s=t * path.latency_s, interval_s=t * path.interval_s)

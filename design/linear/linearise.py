@@ -2,7 +2,7 @@
 
 The plant supplies its own Jacobians; nothing here trusts them. Central differences at
 two steps must agree with each other and with the exact matrices, so that an active limit,
-a kink at the operating point or a wrong derivative is an error and not a wrong eigenvalue.
+a slope discontinuity at the operating point or a wrong derivative is an error and not a wrong eigenvalue.
 """
 
 from __future__ import annotations

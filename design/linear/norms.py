@@ -229,7 +229,7 @@ def _near_crossings(A: Matrix, B: Matrix, C: Matrix, D: Matrix, gamma: float) ->
     Rounding moves a crossing off the axis, two that are about to meet by the root of it. So every
     eigenvalue near the axis counts: a false one costs an evaluation, a missed one the norm.
     """
-    # scale so that gamma is 1: B and C shrink alike
+    # scale so that gamma is 1: B and C shrink by the same factor
     B, C, D = B / np.sqrt(gamma), C / np.sqrt(gamma), D / gamma
     R = np.eye(D.shape[1]) - D.T @ D
     RD = np.linalg.solve(R, D.T)

@@ -1,6 +1,6 @@
 r"""Sets of actuators, and how they hold at other operating points.
 
-A mode there is the one of the base point that it is most alike: with :math:`w^T v = 1` at both points (0, 1)
+A mode there is the one of the base point of most similar shape: with :math:`w^T v = 1` at both points (0, 1)
 
 .. math:: |(w_0^T v_1)(w_1^T v_0)|
 

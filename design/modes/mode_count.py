@@ -109,7 +109,7 @@ class Region:
 
 @dataclass(frozen=True)
 class Rectangle:
-    """What is slower than `top`, rad/s, and between two real parts, 1/s; real eigenvalues and pairs alike.
+    """What is slower than `top`, rad/s, and between two real parts, 1/s; real eigenvalues and pairs.
 
     Its edge is the upper half of a rectangle, closed by the real axis; the lower half mirrors it.
     """

@@ -67,7 +67,7 @@ def commands_page() -> Iterator[str]:
         "For those who type. After this page you know every command of `interarea` with its "
         "options. Exit code 0: done; 1: what was asked is not reached (a certificate, a check, not a "
         "single good run of a sweep); 2: "
-        "a mistake, told in one line."
+        "a mistake, reported in one line."
     )
     for name, (_, line) in COMMANDS.items():
         command = load(name)

@@ -32,7 +32,7 @@ def row(mode: dict[str, Any]) -> str:
     most = machines[0]
     stem = most.rpartition("_")[0]
     if stem and machines[1].rpartition("_")[0] == stem:
-        most = f"{stem} (all alike)"
+        most = f"{stem} (all equal)"
     return f"{mode['name']} | {mode['frequency_hz']:.4f} | {mode['damping_ratio']:.4f} | {most}"
 
 

@@ -75,7 +75,7 @@ fmi2Status instance_report(Instance *c, fmi2Status status, const char *call, con
     va_start(arguments, format);
     vsnprintf(text + used, sizeof text - (size_t)used, format, arguments);
     va_end(arguments);
-    /* Errors are told even when debug logging is off. */
+    /* Errors are reported even when debug logging is off. */
     if (status >= fmi2Error || logs(c, category)) send(c, status, category, text);
     if (status >= fmi2Error && c->run != NULL) c->run->mode = MODE_ERROR;
     return status;

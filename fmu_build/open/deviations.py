@@ -1,6 +1,6 @@
 """What breaks the standard in a modelDescription.xml: harmless and put right, or in a master's way.
 
-Harmless is what leaves no doubt about an input, output or parameter: a unit without definition is a name, an
+Harmless is what leaves inputs, outputs and parameters clear: a unit without definition is a name, an
 unknown variability is the default, a dependency on a variable that is not there is one on every input.
 """
 
@@ -53,7 +53,7 @@ def _where(v: ScalarVariable) -> str:
 def _trouble(
     v: ScalarVariable, seen: dict[str, ScalarVariable], number: Callable[[str], float | None]
 ) -> str:
-    """Return what leaves in doubt which variable is meant, what it is for, or what it starts from."""
+    """Return what leaves ambiguous which variable is meant, what it is for, or what it starts from."""
     if v.causality not in CAUSALITY:
         return f'{_where(v)} has causality "{v.causality[:40]}", allowed: {", ".join(CAUSALITY)}'
     twin = seen.get(v.name)
@@ -104,7 +104,7 @@ def _placed(unknowns: tuple[Unknown, ...], count: int, tell: Tell) -> Iterator[U
 
 
 def _state_trouble(d: ModelDescription, variables: list[ScalarVariable]) -> str:
-    """Return what leaves in doubt which variables the continuous states are."""
+    """Return what leaves ambiguous which variables the continuous states are."""
     count = len(variables)
     for u in d.derivatives:
         if not 1 <= u.index <= count:

@@ -42,7 +42,7 @@ _LOG_CATEGORIES = {
     "logEvents": "Time events and outages",
     "logStatusWarning": "Results that need attention",
     "logStatusDiscard": "Steps that could not be computed",
-    "logStatusError": "Errors; these are told even when logging is off",
+    "logStatusError": "Errors; these are reported even when logging is off",
     "logStatusFatal": "Fatal errors",
     "logAll": "All messages",
 }

@@ -61,7 +61,7 @@ class DeviceSlopes:
     ) -> tuple[Vector, npt.NDArray[np.complex128]]:
         """Return how dx/dt (n,) and the currents of the sources move when x, u and their voltages move so.
 
-        vv : (sources,) real and imaginary parts of the voltage at each source, pu; currents alike, pu on the
+        vv : (sources,) real and imaginary parts of the voltage at each source, pu; currents too, pu on the
         base of the case. Exact to rounding (complex step).
 
         Raises

@@ -49,7 +49,7 @@ def compare(
     from interarea.cosim.scenario.scenario import load_scenario
 
     loaded = load_scenario(scenario)
-    # a mistake in the file is told before what runs it is loaded
+    # a mistake in the file is reported before what runs it is loaded
     from interarea.cosim.results.record import write_json
     from interarea.cosim.run.compare import compare_controllers, write_comparison
     from interarea.fmu_build.write.cache import default_cache

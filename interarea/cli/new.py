@@ -69,7 +69,7 @@ def new(
 def _grid_study(kind: str, grid: str, dyr: Path | None, out: Path) -> str:
     """Return the file of the study of a grid, files named as seen from where it will be."""
     from interarea.cosim.grid_study.choices import Choices, choices_text
-    from interarea.cosim.grid_study.study import found_in
+    from interarea.cosim.grid_study.study import defaults_of
     from interarea.fmu_build.write.cache import default_cache
 
     from .grids import grid_of
@@ -79,7 +79,7 @@ def _grid_study(kind: str, grid: str, dyr: Path | None, out: Path) -> str:
     if loaded is None:
         raise UserError(f"new {kind} {grid}: no grid, allowed: `new study` and a case, .raw or .m file")
     with busy(f"modes of {loaded[0].name}"):
-        asked, lines = found_in(loaded[0], default_cache())
+        asked, lines = defaults_of(loaded[0], default_cache())
     named = {"grid": _seen_from(out, grid), "dyr": None if dyr is None else _seen_from(out, str(dyr))}
     choices = Choices.model_validate({**named, **asked})
     return choices_text(choices, lines)

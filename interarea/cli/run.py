@@ -128,7 +128,7 @@ def _shown(scenario: Scenario, *, explain: bool, json_: bool) -> None:
 def _run(scenario: Scenario, tell: Callable[[float], object]) -> Result:
     """Run a scenario, in one FMU where it asks for that. tell : takes the share that is done.
 
-    What runs it is loaded here: a mistake in the file is told before.
+    What runs it is loaded here: a mistake in the file is reported before.
     """
     from interarea.cosim.export.joint import run_joint
     from interarea.cosim.run.run import run_system

@@ -258,7 +258,7 @@ def _seconds(text: str, grid: str) -> float:
 
 @contextmanager
 def sweeping(out: Path) -> Iterator[Callable[[Progress], None]]:
-    """Show how many runs are done; who is interrupted is told that it goes on with what is in `out`."""
+    """Show how many runs are done; on an interruption say that it continues with what is in `out`."""
     with stage_progress(("runs",)) as report:
         try:
             yield partial(tell_runs, report)

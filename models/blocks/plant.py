@@ -116,7 +116,7 @@ def _integration(point: OperatingPoint, step_s: float) -> str:
         f"steps up to about {2.4 * shortest:.2g} s are stable, less if a parameter makes a control faster. "
         "Accuracy is of fourth order, also where limits of exciters, stabilizers and governors are reached "
         "or left: such steps are divided there. Compare with half the step where it matters.</p>"
-        "<p>In model exchange each decision of a limiter, gate or other kink is an event indicator. Once "
+        "<p>In model exchange each decision of a limiter, gate or other switch is an event indicator. Once "
         "they are asked for, limiters switch in event mode only; where they never are, limiters switch by "
         "themselves.</p>"
     )

@@ -10,7 +10,7 @@ from ..grid.equilibrium import OperatingPoint
 from ..grid.machine_tables import NETWORK, network_states
 from .variables import Enumeration, Variable
 
-#: Value of each kind in the FMI enumeration; plant/events/event.h counts alike.
+#: Value of each kind in the FMI enumeration; plant/events/event.h counts in the same order.
 EVENT_CODES = {
     "none": 0,
     "bus_fault": 1,

@@ -132,7 +132,7 @@ def machine_dynamics(
 
     machine_of : (bus, id) -> name of a unit in service. out : units out of service, whose records are
     counted and passed over. A unit without a machine model is constant P and Q and a converter what its
-    records say, or, if `converters_as_current`, both are constant currents. own : devices of one's own, whose
+    records say, or, if `converters_as_current`, both are constant currents. own : user-defined devices, whose
     records come before those of the package's.
 
     Raises

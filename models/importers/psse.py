@@ -55,7 +55,7 @@ def import_psse(
     converters_as_current : converters become constant currents instead of what their records say.
     coordinates : CSV
     with bus, latitude, longitude. frequency_hz : for a file that has none; 60 Hz when not given. devices :
-    files of devices of one's own, which records of their names (USRMDL or not) become. leave_out : models
+    files of user-defined devices, which records of their names (USRMDL or not) become. leave_out : models
     whose records are passed over. replace : model -> the one that its records are read as, by the order of
     their fields.
 

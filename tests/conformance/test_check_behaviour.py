@@ -131,7 +131,7 @@ def test_libraries_of_every_platform_are_read(tmp_path: Path) -> None:
     report = check_file(build_fmu(decay_block(), tmp_path, platforms=platforms), run=False)
     assert report.clean, [f.line() for f in report.findings]
     facts = report.facts["binaries"]
-    found = sorted((f["format"], f["machine"]) for f in facts.values())
+    result = sorted((f["format"], f["machine"]) for f in facts.values())
     both = [("ELF", "arm64"), ("ELF", "x86_64"), ("Mach-O", "arm64")]
-    assert found == [*both, ("Mach-O", "x86_64+arm64"), ("PE", "x86_64")]
+    assert result == [*both, ("Mach-O", "x86_64+arm64"), ("PE", "x86_64")]
     assert len({f["exports"] for f in facts.values()}) == 1

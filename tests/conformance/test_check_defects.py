@@ -97,9 +97,9 @@ def test_defect_is_found_with_rule_and_fix(defect: str, seeded: dict[str, Path])
 
 
 def test_fmpy_finds_ten_of_the_thirteen(seeded: dict[str, Path]) -> None:
-    found = {defect for defect, file in seeded.items() if validate_fmu(str(file))}
-    assert found == {defect for defect, (_, _, seen) in DEFECTS.items() if seen}
-    assert (len(found), len(DEFECTS)) == (10, 13)
+    result = {defect for defect, file in seeded.items() if validate_fmu(str(file))}
+    assert result == {defect for defect, (_, _, seen) in DEFECTS.items() if seen}
+    assert (len(result), len(DEFECTS)) == (10, 13)
 
 
 def test_backslash_in_an_entry(decay: Path, tmp_path: Path) -> None:

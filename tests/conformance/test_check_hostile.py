@@ -151,10 +151,10 @@ def test_exit_codes_and_json(decay: Path, tmp_path: Path) -> None:
     clean = run.invoke(app, ["check", str(decay), "--json", "--no-run"])
     assert clean.exit_code == 0
     assert '"verdict": "not run"' in clean.stdout
-    found = run.invoke(app, ["check", str(archive_of(tmp_path / "x.fmu", "../evil"))])
-    assert found.exit_code == 1
-    assert "../evil: the entry leaves the folder" in found.stdout
+    completed = run.invoke(app, ["check", str(archive_of(tmp_path / "x.fmu", "../evil"))])
+    assert completed.exit_code == 1
+    assert "../evil: the entry leaves the folder" in completed.stdout
     for wrong in (tmp_path / "missing.fmu", Path(__file__)):
         done = run.invoke(app, ["check", str(wrong)])
         assert isinstance(done.exception, CheckError)  # `main` turns it into one line and exit code 2
-    assert io.StringIO(found.stdout).readline().count("->") == 1
+    assert io.StringIO(completed.stdout).readline().count("->") == 1

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
-from whims import whims_fmu
+from misbehaving import misbehaving_fmu
 
 from interarea.fmu_build.check.check import check_file
 from interarea.fmu_build.finding import Report
@@ -25,7 +25,7 @@ def _without_validators(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("interarea.fmu_build.check.check.toolbox_rules", lambda *_: None)
 
 
-def component(name: str, fmu: str = "whims.fmu", inside: str = "") -> str:
+def component(name: str, fmu: str = "misbehaving.fmu", inside: str = "") -> str:
     return (
         f'<ssd:Component name="{name}" type="application/x-fmu-sharedlibrary" source="resources/{fmu}">'
         f"<ssd:Connectors>{CONNECTORS}</ssd:Connectors>{inside}</ssd:Component>"
@@ -121,8 +121,8 @@ WRONG = {
 
 
 @pytest.fixture(scope="module")
-def whims(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return whims_fmu(tmp_path_factory.mktemp("whims"))
+def misbehaving(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return misbehaving_fmu(tmp_path_factory.mktemp("misbehaving"))
 
 
 def said(report: Report) -> str:
@@ -130,24 +130,24 @@ def said(report: Report) -> str:
 
 
 @pytest.mark.parametrize("name", CLEAN)
-def test_a_right_mapping_is_clean(whims: Path, tmp_path: Path, name: str) -> None:
-    report = archive(tmp_path, [whims], binding("m.ssm"), elements=NESTED, entries=CLEAN[name])
+def test_a_right_mapping_is_clean(misbehaving: Path, tmp_path: Path, name: str) -> None:
+    report = archive(tmp_path, [misbehaving], binding("m.ssm"), elements=NESTED, entries=CLEAN[name])
     assert said(report) == ""
 
 
 @pytest.mark.parametrize("name", WRONG)
-def test_a_wrong_mapping_is_found(whims: Path, tmp_path: Path, name: str) -> None:
+def test_a_wrong_mapping_is_found(misbehaving: Path, tmp_path: Path, name: str) -> None:
     entries, words = WRONG[name]
-    report = archive(tmp_path, [whims], binding("m.ssm"), elements=NESTED, entries=entries)
+    report = archive(tmp_path, [misbehaving], binding("m.ssm"), elements=NESTED, entries=entries)
     assert words in said(report)
 
 
-def test_a_mapping_that_is_not_there_is_found(whims: Path, tmp_path: Path) -> None:
+def test_a_mapping_that_is_not_there_is_found(misbehaving: Path, tmp_path: Path) -> None:
     for elements, bound in (
         (PAIR, binding("n.ssm")),
         (component("a", inside=binding("n.ssm")) + component("b"), ""),
     ):
-        report = archive(tmp_path, [whims], bound, elements=elements)
+        report = archive(tmp_path, [misbehaving], bound, elements=elements)
         assert "'resources/n.ssm' is not in the archive" in said(report)
 
 
@@ -162,29 +162,29 @@ def test_a_mapping_that_is_not_there_is_found(whims: Path, tmp_path: Path) -> No
     ],
 )
 def test_a_set_of_the_system_names_what_there_is(
-    whims: Path, tmp_path: Path, parameter: str, prefix: str, words: str
+    misbehaving: Path, tmp_path: Path, parameter: str, prefix: str, words: str
 ) -> None:
     values = GAIN.replace("gain", parameter)
-    report = archive(tmp_path, [whims], binding(prefix=prefix), elements=PAIR, values=values)
+    report = archive(tmp_path, [misbehaving], binding(prefix=prefix), elements=PAIR, values=values)
     assert words in said(report) and (words or not said(report))
 
 
-def test_a_value_of_the_wrong_type_or_given_twice_is_found(whims: Path, tmp_path: Path) -> None:
+def test_a_value_of_the_wrong_type_or_given_twice_is_found(misbehaving: Path, tmp_path: Path) -> None:
     values = '<ssv:Parameter name="a.x0"><ssv:String value="3"/></ssv:Parameter>'
     assert "is String, the variable is Real" in said(
-        archive(tmp_path, [whims], binding(), elements=PAIR, values=values)
+        archive(tmp_path, [misbehaving], binding(), elements=PAIR, values=values)
     )
     twice = GAIN.replace("gain", "a.x0") * 2
     assert "is given twice in one set" in said(
-        archive(tmp_path, [whims], binding(), elements=PAIR, values=twice)
+        archive(tmp_path, [misbehaving], binding(), elements=PAIR, values=twice)
     )
 
 
-def test_units_that_only_the_fmus_state_are_compared(whims: Path, tmp_path: Path) -> None:
+def test_units_that_only_the_fmus_state_are_compared(misbehaving: Path, tmp_path: Path) -> None:
     """a.y has no unit, b.u degrees: nothing to compare; then a.y in metres, which are none."""
-    degrees = whims_fmu(tmp_path / "deg", unit="deg").rename(tmp_path / "degrees.fmu")
+    degrees = misbehaving_fmu(tmp_path / "deg", unit="deg").rename(tmp_path / "degrees.fmu")
     metres = tmp_path / "metres.fmu"
-    with zipfile.ZipFile(whims) as old, zipfile.ZipFile(metres, "w") as new:
+    with zipfile.ZipFile(misbehaving) as old, zipfile.ZipFile(metres, "w") as new:
         for name in old.namelist():
             text = old.read(name)
             if name == "modelDescription.xml":
@@ -193,7 +193,7 @@ def test_units_that_only_the_fmus_state_are_compared(whims: Path, tmp_path: Path
                 text = text.replace(b'causality="output"><Real/>', b'causality="output"><Real unit="m"/>')
             new.writestr(name, text)
     into = component("b", "degrees.fmu")
-    assert said(archive(tmp_path, [whims, degrees], "", elements=component("a") + into)) == ""
+    assert said(archive(tmp_path, [misbehaving, degrees], "", elements=component("a") + into)) == ""
     elements = component("a", "metres.fmu") + into
     report = archive(tmp_path, [metres, degrees], "", elements=elements)
     assert "goes from m to deg [SSP units]" in said(report)
@@ -202,6 +202,8 @@ def test_units_that_only_the_fmus_state_are_compared(whims: Path, tmp_path: Path
 
 
 def test_components_that_share_a_single_instance_are_noted(tmp_path: Path) -> None:
-    once = whims_fmu(tmp_path / "once", once=True)
+    once = misbehaving_fmu(tmp_path / "once", once=True)
     (note,) = [n for n in archive(tmp_path, [once], "", elements=PAIR).notes if "only once" in n]
-    assert note.startswith("root.a, root.b: resources/whims.fmu can be instantiated only once per process")
+    assert note.startswith(
+        "root.a, root.b: resources/misbehaving.fmu can be instantiated only once per process"
+    )

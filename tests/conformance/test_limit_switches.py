@@ -152,20 +152,20 @@ def test_limiters_of_model_exchange_switch_in_event_mode_once_indicators_are_ask
         x[names.index("G1.exciter.v")] -= 0.05  # its input is beyond the limit as well
         for each in (run, alone):
             each.fmu.setContinuousStates(x, n)
-        free, found = seen(run)
+        free, result = seen(run)
         assert free[efd] > 10.0  # on towards its input
-        assert found.min() == pytest.approx(-0.5, abs=1e-6)
+        assert result.min() == pytest.approx(-0.5, abs=1e-6)
         assert seen(alone)[0][efd] == pytest.approx(-0.5 / dt, rel=1e-9)  # back to its limit
         saved = run.fmu.getFMUstate()
         other.fmu.setFMUstate(other.fmu.deSerializeFMUstate(run.fmu.serializeFMUstate(saved)))
-        for one, two in zip(seen(other), (free, found), strict=True):
+        for one, two in zip(seen(other), (free, result), strict=True):
             np.testing.assert_array_equal(one, two)
         for each in (run, other):
             each.fmu.enterEventMode()
             assert each.fmu.newDiscreteStates()[3]  # valuesOfContinuousStatesChanged
             each.fmu.enterContinuousTimeMode()
-            after, found = seen(each)
-            assert (found > 0.0).all()
+            after, result = seen(each)
+            assert (result > 0.0).all()
             assert after[efd] == pytest.approx(-0.5 / dt, rel=1e-9)
 
 

@@ -22,7 +22,7 @@ def test_slopes_of_states_are_those_of_the_complex_step(case: str, cache: Path) 
     outputs = [p.name for p in file.description.outputs]
     speeds = tuple(name for name in outputs if name.endswith("_dw"))
     state = next(name for name in file.variables if name.endswith(".slip"))
-    found = []
+    result = []
     for asked in (speeds, (*speeds, "tie_p" if "tie_p" in outputs else outputs[2])):
         plant = FmuParticipant("plant", file, {state: 1e-3})
         plant.bind([], asked)  # the second asks for a slope that only the complex step gives
@@ -33,10 +33,10 @@ def test_slopes_of_states_are_those_of_the_complex_step(case: str, cache: Path) 
             plant.advance(0.01 * k, 0.01)
             plant.receive(slopes=True)
             rows.append(list(plant.dy)[: len(speeds)])
-        found.append(np.array(rows))
+        result.append(np.array(rows))
         plant.close()
-    assert np.abs(found[0]).max() > 1e-4
-    assert found[0].tobytes() == found[1].tobytes()
+    assert np.abs(result[0]).max() > 1e-4
+    assert result[0].tobytes() == result[1].tobytes()
 
 
 def test_a_record_that_points_outside_the_states_is_refused(cache: Path, tmp_path: Path) -> None:

@@ -236,11 +236,11 @@ def test_a_loop_takes_the_step_of_its_plant(cache: Path, tmp_path: Path) -> None
     assert loop.longest_step_s == 0.001
     path = build_fmu(loop, tmp_path / "loop.fmu", cache=cache)
     start = {f"plant.{name}": value for name, value in pulse().items()} | {"remote.latency": 0.05}
-    found = []
+    result = []
     for h in (0.00025, 0.001, 0.002, 0.01):
         with Runner(path) as run:
-            found.append(run.start(start | {"plant.solver.step": h}).run(TIMES, "G1_dw"))
-    errors = [np.abs(dw - found[0]).max() for dw in found[1:]]
+            result.append(run.start(start | {"plant.solver.step": h}).run(TIMES, "G1_dw"))
+    errors = [np.abs(dw - result[0]).max() for dw in result[1:]]
     assert 0.0 < 50.0 * errors[0] < 10.0 * errors[1] < 1e-10
     # ten times the plant's step at the start makes the controller's 2 ms five times as long, no more
     assert errors[1] < errors[2] < 1e-9

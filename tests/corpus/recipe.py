@@ -41,13 +41,13 @@ KEY = re.compile(r"([A-Za-z_][A-Za-z_0-9]*)\s*=\s*\[?\[?[^=]*$")
 
 def spoiled(toml: str, what: str, pattern: re.Pattern[str], bad: str) -> Iterator[tuple[str, str, str]]:
     """Yield (name, key, text) for each place of `pattern` replaced by `bad`."""
-    for k, found in enumerate(pattern.finditer(toml)):
-        before = toml[: found.start()]
+    for k, match in enumerate(pattern.finditer(toml)):
+        before = toml[: match.start()]
         line = before.rsplit("\n", 1)[-1]
         key = KEY.search(line)
         if key is None or line.lstrip().startswith("#"):
             continue
-        yield f"{what} {k} {key[1]}", key[1], before + bad + toml[found.end() :]
+        yield f"{what} {k} {key[1]}", key[1], before + bad + toml[match.end() :]
 
 
 BROKEN: tuple[tuple[str, bytes, str], ...] = (

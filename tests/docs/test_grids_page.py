@@ -20,13 +20,13 @@ def test_the_modes_of_the_bundled_grid_are_those_of_the_page(monkeypatch: pytest
     rows = re.findall(r"^\| (\S.* \d.*?) \| (\S+) \| (\S+) \| (\S+) \|$", text, re.MULTILINE)
     words = ["modes", "wecc-240", "--band", "0.1:0.9", "--below", "0.2", "--json"]
     code, out, _ = invoke(words, monkeypatch)
-    found = json.loads(out)
-    assert code == 0 and found["counted"] == len(rows) == len(found["modes"]) == 7
-    for (name, hertz, ratio, machine), mode in zip(rows, found["modes"], strict=True):
+    document = json.loads(out)
+    assert code == 0 and document["counted"] == len(rows) == len(document["modes"]) == 7
+    for (name, hertz, ratio, machine), mode in zip(rows, document["modes"], strict=True):
         assert (name, hertz) == (mode["name"], f"{mode['frequency_hz']:.4f}")
         assert ratio == f"{mode['damping_ratio']:.4f}"
         assert machine == next(iter(mode["participation"])).partition(".")[0]
-    assert f"{found['states']} states" in text
+    assert f"{document['states']} states" in text
 
 
 @pytest.mark.slow

@@ -117,9 +117,9 @@ def test_every_page_can_be_reached_from_the_first() -> None:
         file = DOCS / f"{todo.pop()}.md"
         text = file.read_text(encoding="utf-8") if file.is_file() else ""
         trees = re.findall(r"```\{toctree\}(.*?)```", text, re.DOTALL)
-        found = {line for tree in trees for line in tree.split() if not line.startswith(":")}
-        todo += found - reached
-        reached |= found
+        result = {line for tree in trees for line in tree.split() if not line.startswith(":")}
+        todo += result - reached
+        reached |= result
     assert {str(p.relative_to(DOCS).with_suffix("")) for p in PAGES} <= reached
     assert {f"generated/{name}" for name in GENERATED} <= reached
 

@@ -106,13 +106,13 @@ def test_pages_have_no_findings_of_accessibility(site: Path, tmp_path: Path) -> 
                 "console", lambda m: said.append(m.text) if m.type in ("error", "warning") else None
             )
         looks: list[str] = []
-        found = {str(page.relative_to(site)): findings(tabs, page, said, looks) for page in [*pages, spoilt]}
+        result = {str(page.relative_to(site)): findings(tabs, page, said, looks) for page in [*pages, spoilt]}
         browser.close()
-    spoils = found.pop("spoilt.html")
+    spoils = result.pop("spoilt.html")
     spoilt.unlink()
     for wanted in (f"light: {COLOURS}", f"dark: {COLOURS}", "light: button-name", "390 px: button-name"):
         assert any(wrong.startswith(wanted) for wrong in spoils), spoils
-    assert {page: wrong for page, wrong in found.items() if wrong} == {}
+    assert {page: wrong for page, wrong in result.items() if wrong} == {}
 
 
 def findings(tabs: dict[int, Any], page: Path, said: list[str], looks: list[str]) -> list[str]:

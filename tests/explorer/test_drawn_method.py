@@ -17,18 +17,18 @@ Matrix = npt.NDArray[np.float64]
 def method(name: str) -> tuple[Matrix, Matrix]:
     """Return A and b of a method of `drawn_step.h`."""
     text = wasm.DRAWN_STEP.read_text(encoding="ascii")
-    found = re.search(name + r" = \{\s*(\d+),\s*(\{\{.*?\}\}),\s*(\{.*?\})\s*\};", text, re.DOTALL)
-    assert found is not None
-    stages = int(found.group(1))
+    match = re.search(name + r" = \{\s*(\d+),\s*(\{\{.*?\}\}),\s*(\{.*?\})\s*\};", text, re.DOTALL)
+    assert match is not None
+    stages = int(match.group(1))
 
     def numbers(part: str) -> list[float]:
         pairs = [x.strip().partition(" / ") for x in part.split(",")]
         return [float(over) / float(under or 1.0) for over, _, under in pairs]
 
     A = np.zeros((stages, stages))
-    for i, row in enumerate(re.findall(r"\{([^{}]*)\}", found.group(2))):
+    for i, row in enumerate(re.findall(r"\{([^{}]*)\}", match.group(2))):
         A[i + 1, : i + 1] = numbers(row)
-    return A, np.array(numbers(found.group(3).strip("{}")))
+    return A, np.array(numbers(match.group(3).strip("{}")))
 
 
 def growth(A: Matrix, b: Matrix, z: complex) -> float:

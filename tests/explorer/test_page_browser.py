@@ -177,8 +177,8 @@ def test_accessibility_without_findings(browser: Any, page: Path, width: int, sc
 
     with Tab(browser, page, "#v=1&remote.loss=20", width, color_scheme=scheme) as it:
         it.settle()
-        found = Axe().run(it.tab, None, {"resultTypes": ["violations"]}).response["violations"]
-        assert [(f["id"], [n["html"][:120] for n in f["nodes"]]) for f in found] == []
+        violations = Axe().run(it.tab, None, {"resultTypes": ["violations"]}).response["violations"]
+        assert [(f["id"], [n["html"][:120] for n in f["nodes"]]) for f in violations] == []
         wide = it.tab.evaluate("document.documentElement.scrollWidth")
         assert wide <= width
 

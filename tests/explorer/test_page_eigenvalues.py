@@ -28,7 +28,7 @@ STATES: list[dict[str, Any]] = [
 def test_every_root_in_sight_is_that_of_the_delay_equation(
     state: dict[str, Any], node: Any, data: dict[str, Any], cache: Path
 ) -> None:
-    found = node([{"roots": state}])[0]
+    roots = node([{"roots": state}])[0]
     subject = subject_of("two-area-thesis", cache)
     made = subject.controllers[state["k"]].scaled(state.get("g", 1.0))
     plant = speeds_in_rad(subject.linear(subject.points[state.get("op", 0)]), subject.case.omega_b)
@@ -37,16 +37,16 @@ def test_every_root_in_sight_is_that_of_the_delay_equation(
         for name, (signal, _) in subject.channels.items()
         if signal in made.inputs
     }
-    box = found["box"]
+    box = roots["box"]
     ours = rightmost_roots(delayed_loop(plant, made.system, latency_of), right_of=box["left"])
     inside = [z for z in ours if box["low"] < z.imag < box["high"] and box["left"] < z.real < box["right"]]
-    theirs = [complex(*root["s"]) for root in found["roots"]]
-    assert found["proven"]
+    theirs = [complex(*root["s"]) for root in roots["roots"]]
+    assert roots["proven"]
     assert len(theirs) == len(inside) >= 3
     for z in inside:
         assert min(abs(z - s) for s in theirs) < 1e-8
     # and the winding number knows when one is missing
-    assert found["open"]
+    assert roots["open"]
 
 
 def test_they_are_found_again_where_something_moves_them(node: Any, data: dict[str, Any]) -> None:
@@ -65,14 +65,14 @@ def test_they_are_found_again_where_something_moves_them(node: Any, data: dict[s
 
 
 def test_without_a_controller_they_are_the_plants(node: Any, data: dict[str, Any], cache: Path) -> None:
-    found = node([{"roots": {"k": "none"}}])[0]
+    roots = node([{"roots": {"k": "none"}}])[0]
     subject = subject_of("two-area-thesis", cache)
     poles = np.linalg.eigvals(subject.linear(subject.points[0]).A)
-    theirs = [complex(*root["s"]) for root in found["roots"]]
+    theirs = [complex(*root["s"]) for root in roots["roots"]]
     assert len(theirs) >= 3
     for s in theirs:
         assert np.min(np.abs(poles - s)) < 1e-9
-    slow = min(found["roots"], key=lambda r: abs(r["s"][1] - 3.9))
+    slow = min(roots["roots"], key=lambda r: abs(r["s"][1] - 3.9))
     shape = np.array([complex(*z) for z in slow["shape"]])
     assert np.max(np.abs(shape)) == pytest.approx(1.0)
     assert np.real(shape[0] * np.conj(shape[2])) < 0.0  # area against area

@@ -32,7 +32,7 @@ from xml.etree import ElementTree
 import pyarrow.parquet as pq
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
-from whims import whims_fmu
+from misbehaving import misbehaving_fmu
 
 SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP", "SIGKILL")
 LIMIT_S = 5.0
@@ -78,7 +78,7 @@ def _heed_signals() -> None:
 
 def prepare(files: Path) -> None:
     """Write what the commands read, and fill the default cache."""
-    fmu = whims_fmu(files)
+    fmu = misbehaving_fmu(files)
     for name, more in (("foreign", ""), ("isolated", "isolate = true\n")):
         table = f'[fmus.own]\nfile = "{fmu.as_posix()}"\n{more}start = {{ u = 1.0 }}\n'
         (files / f"{name}.toml").write_text(f"stop_s = 2e4\nstep_s = 0.05\n{table}", encoding="utf-8")
@@ -149,15 +149,15 @@ def _command(words: Sequence[str]) -> list[str]:
 
 def living(mark: str) -> dict[int, str]:
     """Return process -> its command line, of those that have `mark` in their environment (Linux)."""
-    found = {}
+    result = {}
     for entry in Path("/proc").iterdir():
         if entry.name.isdecimal():
             with suppress(OSError):
                 if f"{_MARK}={mark}".encode() in (entry / "environ").read_bytes().split(b"\0"):
                     words = (entry / "cmdline").read_bytes().replace(b"\0", b" ").decode("utf-8", "replace")
                     if words:  # else it has ended and nobody has asked for its exit code
-                        found[int(entry.name)] = words[:200]
-    return found
+                        result[int(entry.name)] = words[:200]
+    return result
 
 
 def whole(path: Path) -> bool:

@@ -77,11 +77,11 @@ def test_a_run(share: int, tmp_path: Path, cache: Path) -> None:
     seen, clean = Counter[str](), 0
     for n in islice(grid(ratio=1.6), share, None, SHARES):
         out = tmp_path / str(n)
-        found = outcome_without_memory(n, lambda out=out: written(table, out, cache))  # type: ignore[misc]
-        seen[found], clean = seen[found] + 1, clean + 1 if found == "clean" else 0
+        outcome = outcome_without_memory(n, lambda out=out: written(table, out, cache))  # type: ignore[misc]
+        seen[outcome], clean = seen[outcome] + 1, clean + 1 if outcome == "clean" else 0
         there = [p for p in out.iterdir() if p.suffix != ".partial"] if out.is_dir() else []
         left = {p.name: p.read_bytes() for p in there if p.name != "run.json"}
-        assert left.items() <= whole.items(), (n, found, sorted(left))
+        assert left.items() <= whole.items(), (n, outcome, sorted(left))
         assert written(table, out, cache) == whole, n
         assert {p.name for p in out.iterdir()} == {*whole, "run.json"}, n
         if clean == CLEAN:
@@ -100,13 +100,13 @@ def test_a_run_with_a_case(share: int, tmp_path: Path, cache: Path) -> None:
     ratio = 1.01 if EVERY else 1.6
     for n in islice((k + int(ratio**k) for k in count()), share, None, SHARES):
         out = tmp_path / str(n)
-        found = outcome_without_memory(n, lambda out=out: written(WITH_A_CASE, out, cache))  # type: ignore[misc]
-        seen[found], clean = seen[found] + 1, clean + 1 if found == "clean" else 0
+        outcome = outcome_without_memory(n, lambda out=out: written(WITH_A_CASE, out, cache))  # type: ignore[misc]
+        seen[outcome], clean = seen[outcome] + 1, clean + 1 if outcome == "clean" else 0
         there = [p for p in out.iterdir() if p.suffix != ".partial"] if out.is_dir() else []
         left = {p.name: p.read_bytes() for p in there}
-        assert left.items() <= whole.items(), (n, found, sorted(left))
-        assert found != "clean" or left.keys() == whole.keys(), n
-        if left and found != "clean":
+        assert left.items() <= whole.items(), (n, outcome, sorted(left))
+        assert outcome != "clean" or left.keys() == whole.keys(), n
+        if left and outcome != "clean":
             assert written(WITH_A_CASE, out, cache, OF_A_CASE) == whole, n
         if clean == 3:
             break
@@ -121,8 +121,8 @@ def test_the_folder_of_a_sweep(share: int, tmp_path: Path) -> None:
     seen, clean = Counter[str](), 0
     for n in islice(grid(ratio=1.25), share, None, SHARES):
         folder = tmp_path / str(n)
-        found = outcome_without_memory(n, lambda folder=folder: session(folder, work))  # type: ignore[misc]
-        seen[found], clean = seen[found] + 1, clean + 1 if found == "clean" else 0
+        outcome = outcome_without_memory(n, lambda folder=folder: session(folder, work))  # type: ignore[misc]
+        seen[outcome], clean = seen[outcome] + 1, clean + 1 if outcome == "clean" else 0
         finished(folder)
         if clean == CLEAN:
             break

@@ -61,9 +61,9 @@ def fetch(fmu: Foreign) -> str:
             content = answer.read()
     except OSError as error:
         return f"{fmu.url}: {error}"
-    found = hashlib.sha256(content).hexdigest()
-    if found != fmu.sha256:
-        return f"{fmu.url}: has SHA-256 {found}, wanted {fmu.sha256}"
+    result = hashlib.sha256(content).hexdigest()
+    if result != fmu.sha256:
+        return f"{fmu.url}: has SHA-256 {result}, wanted {fmu.sha256}"
     FOLDER.mkdir(parents=True, exist_ok=True)
     fmu.file.write_bytes(content)
     return ""

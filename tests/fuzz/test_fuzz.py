@@ -30,10 +30,10 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope="module")
 def compiler() -> Compiler:
-    found = sanitizing_compiler()
-    if found is None:
+    result = sanitizing_compiler()
+    if result is None:
         pytest.skip("no compiler here has the runtime of a sanitizer (tried $CC, gcc, clang, cc, zig)")
-    return found
+    return result
 
 
 @pytest.mark.parametrize("kind", CALLS)

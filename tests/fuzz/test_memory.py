@@ -33,9 +33,9 @@ def test_create_simulate_free_does_not_grow(kind: str, cycles: int, tmp_path: Pa
     if not sys.platform.startswith("linux"):
         pytest.skip("resident memory is read from /proc")
     said = build_driver(blocks()[kind], ("cycles.c",), plain_compiler(), tmp_path).run(cycles)
-    found = re.search(r"(\d+) cycles, growth (-?\d+) kB, (-?\d+) files, (-?\d+) pieces", said)
-    assert found is not None, said
-    done, growth_kb, files, pieces = map(int, found.groups())
+    match = re.search(r"(\d+) cycles, growth (-?\d+) kB, (-?\d+) files, (-?\d+) pieces", said)
+    assert match is not None, said
+    done, growth_kb, files, pieces = map(int, match.groups())
     assert (done, files, pieces) == (cycles, 0, 0)
     # less than one byte per cycle of the smallest allocation would show: a few pages are the C library's
     assert growth_kb <= 128, said

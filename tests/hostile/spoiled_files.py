@@ -110,8 +110,8 @@ def _character(pattern: str, change: Callable[[str, int], str]) -> Callable[[str
     """Return what changes a line at one place where a pattern is."""
 
     def spoil(line: str, rng: random.Random) -> str | None:
-        found = _one_of(list(re.finditer(pattern, line)), rng)
-        return None if found is None else change(line, found.start())
+        match = _one_of(list(re.finditer(pattern, line)), rng)
+        return None if match is None else change(line, match.start())
 
     return spoil
 
@@ -120,10 +120,10 @@ def _number(change: Callable[[str, random.Random], str]) -> Callable[[str, rando
     """Return what changes one number of a line."""
 
     def spoil(line: str, rng: random.Random) -> str | None:
-        found = _one_of(list(_NUMBER.finditer(line.partition(" /")[0])), rng)
-        if found is None:
+        match = _one_of(list(_NUMBER.finditer(line.partition(" /")[0])), rng)
+        if match is None:
             return None
-        return line[: found.start()] + change(found.group(), rng) + line[found.end() :]
+        return line[: match.start()] + change(match.group(), rng) + line[match.end() :]
 
     return spoil
 

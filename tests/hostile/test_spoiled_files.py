@@ -81,10 +81,10 @@ def test_size() -> None:
 
 @pytest.mark.filterwarnings("error")
 def test_nothing_is_lost_in_silence(tmp_path: Path) -> None:
-    found = {one: judged(tmp_path, one) for one in FILES}
-    wrong = {o.name: (o.line, o.was, o.is_now, f) for o, f in found.items() if f not in ALLOWED}
+    result = {one: judged(tmp_path, one) for one in FILES}
+    wrong = {o.name: (o.line, o.was, o.is_now, f) for o, f in result.items() if f not in ALLOWED}
     assert not wrong
-    counted = Counter(found.values())
+    counted = Counter(result.values())
     assert counted["refused"] > 0.5 * len(FILES)
 
 

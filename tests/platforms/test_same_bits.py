@@ -87,16 +87,16 @@ def emulator_of(name: str, folder: Path) -> Emulator:
     if name == "linux64":
         return Emulator((), {})
     if name == "win64":
-        found = shutil.which("wine64") or shutil.which("wine64", path="/usr/lib/wine:/usr/lib/wine64")
-        if found:
+        result = shutil.which("wine64") or shutil.which("wine64", path="/usr/lib/wine:/usr/lib/wine64")
+        if result:
             quiet = {"WINEDEBUG": "-all", "WINEPREFIX": str(folder / "wine"), "DISPLAY": ""}
-            return Emulator((found,), quiet)
+            return Emulator((result,), quiet)
         missing = "wine64 is not installed (Debian: apt-get install wine64)"
     else:
-        found = shutil.which("qemu-aarch64") or shutil.which("qemu-aarch64-static")
+        result = shutil.which("qemu-aarch64") or shutil.which("qemu-aarch64-static")
         root = Path("/usr/aarch64-linux-gnu")
-        if found and (root / "lib" / "ld-linux-aarch64.so.1").exists():
-            return Emulator((found, "-L", str(root)), {})
+        if result and (root / "lib" / "ld-linux-aarch64.so.1").exists():
+            return Emulator((result, "-L", str(root)), {})
         missing = "qemu-aarch64 is not installed (Debian: apt-get install qemu-user libc6-arm64-cross)"
     if os.environ.get("INTERAREA_REQUIRE_EMULATORS") == "1":
         pytest.fail(missing)

@@ -1,4 +1,4 @@
-"""Laws of what the user writes: it comes back as it went, and what does not fit is told in one line."""
+"""Laws of what the user writes: it comes back as it went, and what does not fit is reported in one line."""
 
 from __future__ import annotations
 
@@ -148,7 +148,7 @@ def test_a_scenario_written_down_is_the_same_scenario(table: dict[str, Any]) -> 
         first = load_scenario(file_of(table, folder))
         again = load_scenario(file_of(scenario_document(first), folder))
     assert again == first
-    assert again.marks_s == first.marks_s
+    assert again.event_times_s == first.event_times_s
     for name, channel in first.channels.items():
         assert again.channels[name].parameters("x") == channel.parameters("x")
     assert load_scenario(table).model_dump(exclude={"name", "folder"}) == first.model_dump(

@@ -48,29 +48,29 @@ def test_every_instant_is_a_communication_point_and_time_only_grows(
         start_s=seconds(start),
         stop_s=seconds(stop),
         step_s=seconds(step),
-        marks_s=[seconds(start + m) for m in marks],
+        event_times_s=[seconds(start + m) for m in marks],
         latency_ticks={f"c{k}": d for k, d in enumerate(latencies)},
         edges=edges,
         points=[start + p for p in points],
         at_rest=at_rest,
     )
-    found = clock.steps
-    assert all(isinstance(t, int) for s in found for t in (s.start, s.end))
-    assert [s.start for s in found] == [start, *(s.end for s in found[:-1])] and found[-1].end == stop
-    assert all(0 < s.end - s.start <= step for s in found)
-    assert sum(s.end - s.start for s in found) == length
-    ends = {s.end for s in found}
+    result = clock.steps
+    assert all(isinstance(t, int) for s in result for t in (s.start, s.end))
+    assert [s.start for s in result] == [start, *(s.end for s in result[:-1])] and result[-1].end == stop
+    assert all(0 < s.end - s.start <= step for s in result)
+    assert sum(s.end - s.start for s in result) == length
+    ends = {s.end for s in result}
     inside = [start + m for m in marks if m < length]
     late = [m + d for m in inside for d in latencies if m + d < stop]
     wanted = {*inside, *late, *range(start + step, stop, step)}
     assert wanted | {start + p for p in points if p < length} <= ends
-    assert {s.end for s in found if s.recorded} == {*wanted, stop}
-    assert all(s.end - s.start == 1 for s in found if s.edge)
+    assert {s.end for s in result if s.recorded} == {*wanted, stop}
+    assert all(s.end - s.start == 1 for s in result if s.edge)
     if edges and not at_rest:  # what is moving at the start shows with a kink
         assert {start + d for d in latencies if 0 < d < length} <= ends
     if edges:  # what was just before an instant and what is just after are both known
         assert {t for m in inside for t in (m - 1, m + 1) if start < t < stop} <= ends
-    for s in found[:50]:
+    for s in result[:50]:
         assert to_ticks(s.start_s, "start") == s.start and to_ticks(s.length_s, "length") == s.end - s.start
 
 
@@ -80,8 +80,10 @@ def test_steps_of_one_length_stay_so_or_the_run_is_refused(length: int, step: in
     times = {"start_s": 0.0, "stop_s": seconds(length), "step_s": seconds(step)}
     off = [t for t in (*(m for m in marks if m < length), length) if t % step]
     try:
-        marks_s = [seconds(m) for m in marks]
-        clock = clock_of({"a": PLAIN, "r": RIGID}, **times, marks_s=marks_s, latency_ticks={}, edges=True)
+        event_times_s = [seconds(m) for m in marks]
+        clock = clock_of(
+            {"a": PLAIN, "r": RIGID}, **times, event_times_s=event_times_s, latency_ticks={}, edges=True
+        )
     except GraphError as error:
         assert off and "r takes steps of one length only" in str(error)
     else:

@@ -40,8 +40,8 @@ def modes(case: Case, cache: Path) -> Modes:
 def test_a_reading_gives_its_recorded_modes(cache, name, change, recorded, reaches):
     """As recorded; and it is within the printed digits exactly if it says so."""
     case = load_case(name)
-    found = modes(case.with_changes(change) if change else case, cache)
-    ours = [found[mode].eigenvalue for mode in book_readings.NAMES]
+    result = modes(case.with_changes(change) if change else case, cache)
+    ours = [result[mode].eigenvalue for mode in book_readings.NAMES]
     assert np.abs(np.subtract(ours, recorded)).max() < book_readings.RECORDED
     assert (book_readings.half_units(ours, book_readings.printed(name)) <= 1.0) == reaches
 
@@ -75,9 +75,9 @@ def test_no_printed_mode_of_the_stabilized_row_is_the_stabilizer_s(cache):
 def test_dynawo_s_stabilized_modes(cache):
     """Its saturation is the total one also in the linearisation."""
     case = load_case("kundur-pss").with_changes({"machines": {"defaults": {"saturation": {"use": "total"}}}})
-    found = modes(case, cache)
+    result = modes(case, cache)
     for row in printed.rows("modes_dynawo"):
-        mode = found[row["mode"]]
+        mode = result[row["mode"]]
         ours = {"natural_hz": abs(mode.eigenvalue) / (2 * np.pi), "damping_ratio": mode.damping_ratio}
         for quantity, value in ours.items():
             assert value == printed.approx_printed(row[quantity], row["gap"][quantity]), quantity
@@ -86,8 +86,8 @@ def test_dynawo_s_stabilized_modes(cache):
 def test_the_search_finds_the_constants_that_gave_the_modes(cache):
     """From the modes of a reading with two constants changed, by the plant without stabilizers alone."""
     change = {"machines": {"defaults": {"exciter": {"KA": 180.0}, "stabilizer": {"Tw": 2.0}}}}
-    found = modes(load_case("kundur-pss").with_changes(change), cache)
-    row = book_search.Row([found[mode].eigenvalue for mode in book_readings.NAMES])
+    result = modes(load_case("kundur-pss").with_changes(change), cache)
+    row = book_search.Row([result[mode].eigenvalue for mode in book_readings.NAMES])
     left, constants = row.fit(("KA", "Tw"), starts=1)
     assert left < 1e-3
     assert constants == pytest.approx({"KA": 180.0, "Tw": 2.0}, rel=1e-5)

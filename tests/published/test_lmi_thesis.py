@@ -47,7 +47,7 @@ def swing_damping(plant: control.StateSpace, K: Controller, lost: tuple[str, ...
 
     assert np.linalg.eigvals(matrix(1.0)).real.max() < 0.0
     starts = {"inter-area": -0.3164 + 3.9127j, "local 1": -1.8218 + 7.1583j, "local 2": -1.5863 + 7.6086j}
-    found = {}
+    result = {}
     for name, guess in starts.items():
         values, vectors = np.linalg.eig(matrix(0.0))
         at = int(np.argmin(np.abs(values - guess)))
@@ -57,8 +57,8 @@ def swing_damping(plant: control.StateSpace, K: Controller, lost: tuple[str, ...
             near = np.argsort(np.abs(values - value))[:3]
             at = int(max(near, key=lambda i: np.abs(np.vdot(vectors[:, i], vector))))
             value, vector = values[at], vectors[:, at]
-        found[name] = float(-value.real / abs(value))
-    return found
+        result[name] = float(-value.real / abs(value))
+    return result
 
 
 def test_wide_area_controller_of_order_four_reaches_the_printed_damping(plant: control.StateSpace) -> None:

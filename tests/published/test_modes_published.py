@@ -64,8 +64,8 @@ def unsaturated_modes(cache):
 
 def test_every_eigenvalue_of_table_e12_3(linear):
     rows = printed.rows("modes_kundur_manual")
-    found = sorted(np.linalg.eigvals(linear("kundur-manual").A), key=lambda e: (e.real, abs(e.imag)))
-    left = [complex(e.real, abs(e.imag)) for e in found]
+    result = sorted(np.linalg.eigvals(linear("kundur-manual").A), key=lambda e: (e.real, abs(e.imag)))
+    left = [complex(e.real, abs(e.imag)) for e in result]
     assert len(left) == 24
     for row in rows:
         real = printed.approx_printed(row["real"], row.get("gap", {}).get("real"))
@@ -97,13 +97,13 @@ def test_swing_modes_of_kundur(modes, row):
 def test_every_swing_mode_of_another_tool(name, linear):
     """ANDES on the same rows: 9 and 15 modes of 10 and 16 machines, each found once."""
     wanted = [r for r in printed.rows("modes_andes") if r["case"] == name]
-    found = [
+    result = [
         e for e in np.linalg.eigvals(linear(name, impedance=True).A) if 2.0 < e.imag < 12.0 and e.real > -3.2
     ]
-    assert len(found) == len(wanted) == len(load_case(name).machines) - 1
+    assert len(result) == len(wanted) == len(load_case(name).machines) - 1
     for row in wanted:
         real, imag = (printed.approx_printed(row[key], CLOSE) for key in ("real", "imag"))
-        assert len([e for e in found if e.real == real and e.imag == imag]) == 1, row
+        assert len([e for e in result if e.real == real and e.imag == imag]) == 1, row
 
 
 @pytest.mark.parametrize(
@@ -111,9 +111,9 @@ def test_every_swing_mode_of_another_tool(name, linear):
 )
 def test_swing_modes_of_the_book_s_example_in_another_tool(row, unsaturated_modes):
     """ANDES on the same rows, with the book's loads; the stabilized row too, which the book has otherwise."""
-    found = unsaturated_modes(row["case"])[row["mode"]].eigenvalue
-    assert found.real == printed.approx_printed(row["real"], CLOSER)
-    assert found.imag == printed.approx_printed(row["imag"], CLOSER)
+    modes = unsaturated_modes(row["case"])[row["mode"]].eigenvalue
+    assert modes.real == printed.approx_printed(row["real"], CLOSER)
+    assert modes.imag == printed.approx_printed(row["imag"], CLOSER)
 
 
 CLOSER = {"allow": 8e-5, "because": "half a unit of the last digit, and 2e-5 between the tools"}
@@ -140,9 +140,9 @@ def test_large_grids_have_the_known_number_of_modes(modes, name, areas, locals_)
     [Pal2005, ch. 4; SinghPal2013, Table 4, on other exciters: 15 modes, four of them of .31 to .78 Hz]
     New England has two areas here, and so one: G10, which stands for the neighbours, against all others.
     """
-    found = modes(name)
-    inter = [mode for key, mode in found.items() if key.startswith("inter-area")]
+    result = modes(name)
+    inter = [mode for key, mode in result.items() if key.startswith("inter-area")]
     assert len(inter) == areas
-    assert len(found) == areas + locals_ == len(load_case(name).machines) - 1
+    assert len(result) == areas + locals_ == len(load_case(name).machines) - 1
     assert all(0.2 < mode.frequency_hz < 0.8 for mode in inter)
-    assert all(mode.frequency_hz > 0.9 for key, mode in found.items() if not key.startswith("inter-area"))
+    assert all(mode.frequency_hz > 0.9 for key, mode in result.items() if not key.startswith("inter-area"))

@@ -43,9 +43,9 @@ def items(kind: str) -> list[str]:
     """Return the numbers of a kind that the page has, ranges such as 5.1-5.17 spelt out."""
     numbers = []
     for row in ROWS:
-        found = re.fullmatch(rf"{kind} (\d)\.(\d+)(?:-(\d)\.(\d+))?", row[0])
-        if found:
-            chapter, first, _, last = found.groups()
+        match = re.fullmatch(rf"{kind} (\d)\.(\d+)(?:-(\d)\.(\d+))?", row[0])
+        if match:
+            chapter, first, _, last = match.groups()
             numbers += [f"{chapter}.{k}" for k in range(int(first), int(last or first) + 1)]
     return numbers
 
@@ -102,9 +102,9 @@ def test_what_is_cited_of_the_thesis_is_in_it() -> None:
     for folder in ("cosim", "design", "models", "fmu_build", "interarea", "docs", "examples", "benchmarks"):
         for path in (ROOT / folder).rglob("*"):
             if path.suffix in (".py", ".toml", ".md", ".c", ".h"):
-                for found in CITED.finditer(path.read_text(encoding="utf-8")):
-                    for number in re.split(r"-|, | and ", found["numbers"].rstrip(".")):
-                        cited.append((path.name, found["kind"], number))
+                for match in CITED.finditer(path.read_text(encoding="utf-8")):
+                    for number in re.split(r"-|, | and ", match["numbers"].rstrip(".")):
+                        cited.append((path.name, match["kind"], number))
     assert len(cited) > 20 and {name for name, *_ in cited} >= {"lost-signal.toml", "two-area-thesis.toml"}
     assert [row for row in cited if not there(row[1], row[2])] == []
 

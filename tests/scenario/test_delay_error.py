@@ -19,12 +19,12 @@ DOCS = Path(__file__).resolve().parents[2] / "docs"
 def script() -> ModuleType:
     spec = importlib.util.spec_from_file_location("delay_error", DOCS / "delay_error.py")
     assert spec is not None and spec.loader is not None
-    found = importlib.util.module_from_spec(spec)
+    result = importlib.util.module_from_spec(spec)
     import sys
 
-    sys.modules["delay_error"] = found
-    spec.loader.exec_module(found)
-    return found
+    sys.modules["delay_error"] = result
+    spec.loader.exec_module(result)
+    return result
 
 
 def test_two_solvers_of_the_delay_equation_agree() -> None:

@@ -56,9 +56,9 @@ def test_a_system_in_python() -> None:
 
 
 def test_a_new_controller_moves_the_damping() -> None:
-    found = re.search(r"damping ([\d.]+) -> ([\d.]+)", _output(str(EXAMPLES / "own_controller.py")))
-    assert found is not None
-    assert float(found[2]) > float(found[1]) + 0.02
+    match = re.search(r"damping ([\d.]+) -> ([\d.]+)", _output(str(EXAMPLES / "own_controller.py")))
+    assert match is not None
+    assert float(match[2]) > float(match[1]) + 0.02
 
 
 def test_the_pytest_file() -> None:

@@ -44,12 +44,12 @@ def _rows() -> pd.DataFrame:
 
 
 def test_a_cell_pools_the_runs_with_its_two_values() -> None:
-    found = map_of(_rows(), "latency", "loss")
-    assert found.stable.tolist() == [[1.0, 0.5], [0.5, 0.0]]  # rows: loss, columns: latency
-    assert found.damping[0].tolist() == [0.20, 0.25]  # the least among the stable runs
-    assert found.damping[1, 0] == 0.10
-    assert math.isnan(found.damping[1, 1])
-    assert found.runs.tolist() == [[2.0, 2.0], [2.0, 2.0]]
+    result = map_of(_rows(), "latency", "loss")
+    assert result.stable.tolist() == [[1.0, 0.5], [0.5, 0.0]]  # rows: loss, columns: latency
+    assert result.damping[0].tolist() == [0.20, 0.25]  # the least among the stable runs
+    assert result.damping[1, 0] == 0.10
+    assert math.isnan(result.damping[1, 1])
+    assert result.runs.tolist() == [[2.0, 2.0], [2.0, 2.0]]
     assert is_grid(_rows(), "latency", "loss")
 
 
@@ -173,13 +173,13 @@ def test_margins_follow_case_and_controller(document: Any, cache: Path, tmp_path
     plan, rows = read_plan(tmp_path / "s"), read_rows(tmp_path / "s")
     told: list[float] = []
     with Runner(plan, cache, tmp_path) as runner:
-        found = margins_of(plan, rows, runner, workers=2, progress=told.append)
+        result = margins_of(plan, rows, runner, workers=2, progress=told.append)
         search = Search(low=0.0, high=2.0, tolerance=1e-3, scan=21)
-        alone = [runner.edge(m.values, "latency", search)[:2] for m in found]
-    assert [(m.stable, m.unstable) for m in found] == alone  # the bits of one process
+        alone = [runner.edge(m.values, "latency", search)[:2] for m in result]
+    assert [(m.stable, m.unstable) for m in result] == alone  # the bits of one process
     assert told[-1] == 1.0 and told == sorted(told)
-    assert [(m.values["tie"], m.values["controller"]) for m in found] == [
+    assert [(m.values["tie"], m.values["controller"]) for m in result] == [
         (0.0, "ftc"), (0.0, "wdc"), (100.0, "ftc"), (100.0, "wdc"),
     ]  # fmt: skip
-    assert all(m.certified is not None and m.stable is not None for m in found)
-    assert found[1].certified > found[0].certified  # type: ignore[operator]
+    assert all(m.certified is not None and m.stable is not None for m in result)
+    assert result[1].certified > result[0].certified  # type: ignore[operator]

@@ -36,13 +36,13 @@ def made_up(case, *, buses: bool = True) -> Trajectory:
 
 def test_extremes_of_a_run_are_those_of_its_curves() -> None:
     case = load_case(CASE)
-    found = largest_deviation_of(made_up(case), case, 0.5)
-    assert found.angle_deg == pytest.approx(np.degrees(3 * 0.9)) and found.synchronous
+    result = largest_deviation_of(made_up(case), case, 0.5)
+    assert result.angle_deg == pytest.approx(np.degrees(3 * 0.9)) and result.synchronous
     last = case.buses[-1]
-    assert found.voltage_pu == pytest.approx(0.8 - 0.01 * (len(case.buses) - 1))
-    assert found.voltage_at == f"bus{last.number}"
-    assert found.nadir_hz == pytest.approx(case.frequency_hz * 0.98)
-    assert found.zenith_hz == pytest.approx(case.frequency_hz * 1.04)
+    assert result.voltage_pu == pytest.approx(0.8 - 0.01 * (len(case.buses) - 1))
+    assert result.voltage_at == f"bus{last.number}"
+    assert result.nadir_hz == pytest.approx(case.frequency_hz * 0.98)
+    assert result.zenith_hz == pytest.approx(case.frequency_hz * 1.04)
     without = largest_deviation_of(made_up(case, buses=False), case, 0.5)
     assert (without.voltage_pu, without.voltage_at) == (pytest.approx(0.87), case.machines[-1].name)
 
@@ -170,11 +170,11 @@ def test_trips_have_no_clearing_times(tmp_path: Path) -> None:
 
 
 def test_a_place_opens_its_disturbance_in_the_explorer(cache: Path, tmp_path: Path) -> None:
-    found = [
+    result = [
         Screened("8", outage, "none", "kept", 30.0, 0.9, "bus8", 59.0, 61.0, "") for outage in ("", "8-9 a")
     ]
     screening = Screening(CASE, buses=(8,), clearing_s=0.15, outages=("8-9 a",))
-    page = write_screening(screening, found, tmp_path, write_grid(screening, tmp_path, cache)).read_text()
+    page = write_screening(screening, result, tmp_path, write_grid(screening, tmp_path, cache)).read_text()
     link = "explorer.html#v=1&k=none&ev=fault&fault=8&tc=150&br="
     assert page.count(f'href="{link.replace("&", "&amp;")}"') == 1  # not the one with a branch out
     assert Explorer("e").address(Screening(CASE, clearing_s=0.7), "8", "") == ""  # beyond the page's slider

@@ -63,9 +63,9 @@ def rows_of(table: dict[str, Any], cache: Path, scratch: Path, *, shares: bool, 
     plan = plan_sweep(load_sweep(table), cache)
     with Runner(plan, cache, scratch) as runner:
         runner.shares = shares
-        found = list(runner.outcomes(range(plan.sweep.size)[::order]))
+        result = list(runner.outcomes(range(plan.sweep.size)[::order]))
     assert list(scratch.iterdir()) == []
-    return sorted((o.row for o in found), key=lambda row: row["run"]), sum(o.forked for o in found)
+    return sorted((o.row for o in result), key=lambda row: row["run"]), sum(o.forked for o in result)
 
 
 @pytest.mark.parametrize("name", SWEEPS)

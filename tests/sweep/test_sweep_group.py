@@ -60,12 +60,12 @@ def rows_of(
     plan = plan_sweep(load_sweep(table), cache)
     with Runner(plan, cache, scratch) as runner:
         runner.lanes, runner.shares = min(lanes, runner.lanes), shares
-        found = [o.row for o in runner.outcomes(range(plan.sweep.size)[::order])]
+        result = [o.row for o in runner.outcomes(range(plan.sweep.size)[::order])]
         again = [o.row for o in runner.outcomes(range(plan.sweep.size))]  # on instances that were used
     assert list(scratch.iterdir()) == []
     key = lambda row: row["run"]  # noqa: E731
-    assert repr(sorted(again, key=key)) == repr(sorted(found, key=key))
-    return sorted(found, key=key)
+    assert repr(sorted(again, key=key)) == repr(sorted(result, key=key))
+    return sorted(result, key=key)
 
 
 @pytest.mark.parametrize("name", SWEEPS)
@@ -77,8 +77,8 @@ def test_rows_are_the_same_to_the_bit_side_by_side_and_one_by_one(
     assert [row["run"] for row in wanted] == list(range(len(wanted)))
     assert any(row["status"] == "ok" for row in wanted)
     for lanes, order, shares in ((8, 1, True), (4, -1, False), (2, -1, True)):
-        found = rows_of(sweep(name), cache, tmp_path, lanes=lanes, order=order, shares=shares)
-        assert repr(found) == repr(wanted), (lanes, order, shares)
+        rows = rows_of(sweep(name), cache, tmp_path, lanes=lanes, order=order, shares=shares)
+        assert repr(rows) == repr(wanted), (lanes, order, shares)
 
 
 def test_company_that_computes_too_long_is_made_alone(
@@ -99,12 +99,12 @@ def test_company_that_computes_too_long_is_made_alone(
 
         monkeypatch.setattr(runner, "_watch", hasty)
         runner.on_build = lambda *runs: begun.append(runs)
-        found = sorted((o.row for o in runner.outcomes(range(plan.sweep.size))), key=lambda row: row["run"])
+        result = sorted((o.row for o in runner.outcomes(range(plan.sweep.size))), key=lambda row: row["run"])
         together = [runs for runs in begun if len(runs) > 1]
-    assert repr(found) == repr(wanted)
+    assert repr(result) == repr(wanted)
     if lanes_here(cache).count > 1:
         assert len(together) == 1  # what is too long once is not tried again
-        assert sorted(run for runs in begun if len(runs) == 1 for run in runs) == list(range(len(found)))
+        assert sorted(run for runs in begun if len(runs) == 1 for run in runs) == list(range(len(result)))
 
 
 def test_without_the_library_runs_go_one_by_one(

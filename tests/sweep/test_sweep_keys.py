@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from whims import whims_fmu
+from misbehaving import misbehaving_fmu
 
 from interarea.cosim.errors import SweepError
 from interarea.cosim.run.run import run_scenario
@@ -44,7 +44,7 @@ def test_keys_of_a_concentrator_do_what_the_same_keys_of_a_scenario_do(
 
 def test_start_values_of_an_own_fmu_reach_it(document: Any, cache: Path, tmp_path: Path) -> None:
     """An FMU that ends its process at 0.3 s is told so by the sweep: only the run that asks for it fails."""
-    mine = {"file": str(whims_fmu(tmp_path)), "isolate": True}
+    mine = {"file": str(misbehaving_fmu(tmp_path)), "isolate": True}
     scenario = {
         "fmus": {"mine": mine},
         "connections": [["plant.G1_dw", "mine.u"]],
@@ -70,7 +70,7 @@ def test_start_values_of_an_own_fmu_reach_it(document: Any, cache: Path, tmp_pat
     ],
 )
 def test_paths_that_lead_nowhere(document: Any, cache: Path, tmp_path: Path, path: str, said: str) -> None:
-    fmus = {"mine": {"file": str(whims_fmu(tmp_path))}}
+    fmus = {"mine": {"file": str(misbehaving_fmu(tmp_path))}}
     scenario = ALIGNED | {"fmus": fmus, "connections": [["plant.G1_dw", "mine.u"]]}
     with pytest.raises(SweepError, match=said):
         plan_sweep(load_sweep(document(scenario, parameters={"p": {"path": path, "values": [1.0]}})), cache)

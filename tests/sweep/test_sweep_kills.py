@@ -72,8 +72,8 @@ def test_a_run_that_kills_its_worker_or_hangs_is_a_row(
     monkeypatch.setattr(sweep_local, "work", stand_ins.crashing_work)
     monkeypatch.setattr(sweep_local, "_GRACE_S", 0.5)
     plan = plan_sweep(load_sweep(document(time_limit_s=0.1)), cache)
-    found = sweep_local.local_outcomes(plan, range(6), cache=cache, scratch=tmp_path, workers=1, task=6)
-    rows = {o.row["run"]: o.row for some in found for o in some}
+    outcomes = sweep_local.local_outcomes(plan, range(6), cache=cache, scratch=tmp_path, workers=1, task=6)
+    rows = {o.row["run"]: o.row for some in outcomes for o in some}
     assert sorted(rows) == [0, 1, 2, 3, 4, 5]
     assert [rows[k]["failure"] for k in range(6)] == [None, None, "worker died", None, "time limit", None]
     assert "SIGSEGV" in rows[2]["reason"]
@@ -84,8 +84,8 @@ def test_of_runs_under_way_together_only_the_one_that_kills_the_worker_fails(
 ) -> None:
     monkeypatch.setattr(sweep_local, "work", stand_ins.together_work)
     plan = plan_sweep(load_sweep(document()), cache)
-    found = sweep_local.local_outcomes(plan, range(9), cache=cache, scratch=tmp_path, workers=2, task=6)
-    rows = [o.row for some in found for o in some]
+    outcomes = sweep_local.local_outcomes(plan, range(9), cache=cache, scratch=tmp_path, workers=2, task=6)
+    rows = [o.row for some in outcomes for o in some]
     assert sorted(row["run"] for row in rows) == list(range(9))
     assert [(row["run"], row["failure"]) for row in rows if row["failure"]] == [(4, "worker died")]
 
@@ -116,8 +116,8 @@ def test_a_server_that_is_just_being_killed_is_waited_for(
     monkeypatch.setattr(sweep_local, "work", stand_ins.together_work)
     plan = plan_sweep(load_sweep(document()), cache)
     given = {"cache": cache, "scratch": tmp_path, "workers": 1, "task": 6}
-    found = sweep_local.local_outcomes(plan, range(3), **given)
-    assert [o.row["run"] for some in found for o in some] == [0, 1, 2]
+    outcomes = sweep_local.local_outcomes(plan, range(3), **given)
+    assert [o.row["run"] for some in outcomes for o in some] == [0, 1, 2]
     waited[:] = [-1e9]
     with pytest.raises(SweepError, match="its server ends each time"):
         list(sweep_local.local_outcomes(plan, range(3), **given))

@@ -36,15 +36,15 @@ def wrapped(error: BaseException) -> StepError:
 @pytest.mark.parametrize("name", ["ENOSPC", "EDQUOT", "EFBIG", "EMFILE", "EIO", "ENOMEM"])
 def test_it_is_found_among_the_causes(name: str) -> None:
     number = getattr(errno, name)
-    found = machine_error(wrapped(OSError(number, "said the system")))
-    assert found is not None and found.errno == number
+    result = machine_error(wrapped(OSError(number, "said the system")))
+    assert result is not None and result.errno == number
     assert machine_error(wrapped(OSError(errno.ENOENT, "no such file"))) is None
     assert machine_error(ValueError("no such case")) is None
 
 
 def test_memory_that_runs_out_is_one_too() -> None:
-    found = machine_error(wrapped(MemoryError()))
-    assert found is not None and found.errno == errno.ENOMEM
+    result = machine_error(wrapped(MemoryError()))
+    assert result is not None and result.errno == errno.ENOMEM
 
 
 def test_a_sweep_ends_with_it(cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

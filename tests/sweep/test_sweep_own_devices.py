@@ -64,5 +64,5 @@ def test_rows_are_those_of_the_package_in_one_process_and_in_others(
         plants = [kept.participants["plant"] for kept in runner._kept.values()]
         if runner.lanes > 1:
             assert all(p.group is not None and p.group is not runner.library for p in plants)
-    found = pd.DataFrame(rows)[["run", "damping_inter_area", "peak_pu", "energy_pu2s"]]
-    pd.testing.assert_frame_equal(found, wanted[list(found)], check_exact=True)
+    result = pd.DataFrame(rows)[["run", "damping_inter_area", "peak_pu", "energy_pu2s"]]
+    pd.testing.assert_frame_equal(result, wanted[list(result)], check_exact=True)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from whims import whims_fmu
+from misbehaving import misbehaving_fmu
 
 from interarea.cosim.errors import SweepError
 from interarea.cosim.master.isolated import WorkerParticipant
@@ -27,7 +27,7 @@ STOPS = {"stop": {"path": "stop_s", "values": [0.4, 0.8, 0.42]}}
 def own(tmp_path: Path, document: Any) -> Any:
     """Return a function that gives a sweep with a foreign FMU fed by a machine's speed."""
     (tmp_path / "fmus").mkdir()
-    file = whims_fmu(tmp_path / "fmus")
+    file = misbehaving_fmu(tmp_path / "fmus")
 
     def make(*, isolate: bool, **start: float) -> dict[str, Any]:
         fmu = {"file": str(file), "isolate": isolate, "start": start}

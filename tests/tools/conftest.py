@@ -42,7 +42,7 @@ def run_tool(tmp_path: Path) -> RunTool:
         command += [str(step_s), str(stop_s), str(out), *names]
         done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
         assert done.returncode == 0, f"{driver}: exit code {done.returncode}\n{done.stderr[-3000:]}"
-        with np.load(out) as found:
-            return dict(found)
+        with np.load(out) as result:
+            return dict(result)
 
     return run

@@ -45,8 +45,8 @@ def _libcosim(execution, step: float, stop: float, names: list[str]) -> dict[str
     for name in names:
         instance, variable = name.split(".", 1) if "." in name else ("it", name)
         index = execution.slave_index_from_instance_name(instance)
-        found = {v.name.decode(): v.reference for v in execution.slave_variables(index)}
-        places.append((index, found[variable]))
+        outcome = {v.name.decode(): v.reference for v in execution.slave_variables(index)}
+        places.append((index, outcome[variable]))
     result: dict[str, list[float]] = {"time": [], **{n: [] for n in names}}
     for _ in range(round(stop / step)):
         execution.step(1)

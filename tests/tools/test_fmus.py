@@ -93,10 +93,10 @@ def test_tool_gives_what_the_calls_give(
     run_tool: RunTool,
 ) -> None:
     """No connection, no delay: the same numbers to rounding (tools add up time in floats)."""
-    found = run_tool(driver, fmus[kind], STEP, STOP, OUTPUTS[kind])
+    trajectory = run_tool(driver, fmus[kind], STEP, STOP, OUTPUTS[kind])
     for name, values in wanted[kind].items():
         assert np.ptp(values) > 0.0
-        assert np.allclose(found[name], values, rtol=0.0, atol=1e-11), name
+        assert np.allclose(trajectory[name], values, rtol=0.0, atol=1e-11), name
 
 
 @pytest.mark.parametrize("kind", ["plant", "controller", "channel"])

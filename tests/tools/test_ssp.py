@@ -115,17 +115,17 @@ def test_tools_give_the_trajectory_of_held_inputs(
 
     Against the exact delay (our default) what is left is that hold, H/2 on the mean per connection.
     """
-    found = run_tool(driver, archive, STEP, STOP, COLUMNS)
+    result = run_tool(driver, archive, STEP, STOP, COLUMNS)
     held, exact = (
         run_scenario({**SCENARIO, "master": {"inputs": mode}}, cache=cache, controller=by_hand).trajectory
         for mode in ("hold-jacobi", "hermite")
     )
-    assert np.allclose(found["time"], held.time_s[1:], rtol=0.0, atol=1e-9)
+    assert np.allclose(result["time"], held.time_s[1:], rtol=0.0, atol=1e-9)
     for column in COLUMNS:
         peak = np.max(np.abs(held[column]))
         assert peak > 0.0
-        assert np.max(np.abs(found[column] - held[column][1:])) <= 1e-12 * peak, column
-        assert np.max(np.abs(found[column] - exact[column][1:])) <= 0.05 * peak, column
+        assert np.max(np.abs(result[column] - held[column][1:])) <= 1e-12 * peak, column
+        assert np.max(np.abs(result[column] - exact[column][1:])) <= 0.05 * peak, column
 
 
 @pytest.fixture(scope="module")
@@ -156,8 +156,8 @@ def test_fmus_of_others_go_in_as_they_are(foreign: Path) -> None:
     with zipfile.ZipFile(foreign) as parts:
         assert parts.read("resources/first.fmu") == foreign.with_name("decay.fmu").read_bytes()
         values = etree.fromstring(parts.read("resources/first.ssv"))
-        found = {p.get("name"): (p[0].get("value"), p[0].get("unit")) for p in values.iter("{*}Parameter")}
-    assert found == {"rate": ("2.0", "1/s")}
+        result = {p.get("name"): (p[0].get("value"), p[0].get("unit")) for p in values.iter("{*}Parameter")}
+    assert result == {"rate": ("2.0", "1/s")}
 
 
 @pytest.mark.tools
@@ -166,11 +166,11 @@ def test_tools_take_start_values_from_the_parameter_sets(
     driver: str, foreign: Path, run_tool: RunTool
 ) -> None:
     """y = exp(-2 t) in the first FMU, whose own rate is 1, and the same 0.1 s later out of the channel."""
-    found = run_tool(driver, foreign, 0.01, 1.0, ["first.y", "line.y"])
-    t = found["time"]
-    assert np.allclose(found["first.y"], np.exp(-2.0 * t), rtol=1e-6)
+    trajectory = run_tool(driver, foreign, 0.01, 1.0, ["first.y", "line.y"])
+    t = trajectory["time"]
+    assert np.allclose(trajectory["first.y"], np.exp(-2.0 * t), rtol=1e-6)
     late = t > 0.12
-    assert np.allclose(found["line.y"][late], np.exp(-2.0 * (t[late] - 0.1)), rtol=1e-3)
+    assert np.allclose(trajectory["line.y"][late], np.exp(-2.0 * (t[late] - 0.1)), rtol=1e-3)
 
 
 def test_container_refuses_fmus_of_others(foreign: Path, cache: Path) -> None:

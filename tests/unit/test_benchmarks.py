@@ -21,16 +21,16 @@ import compare_andes
 
 
 def rows_by_model(case, events=()) -> dict[str, list[dict]]:
-    found: dict[str, list[dict]] = {}
+    result: dict[str, list[dict]] = {}
     for model, row in andes_rows.rows_of(case, events):
-        found.setdefault(model, []).append(row)
-    return found
+        result.setdefault(model, []).append(row)
+    return result
 
 
 def test_every_device_of_a_case_becomes_one_row():
     case = compare_andes.two_area(compare_andes.RUNS["Efd limits + PSS + TGOV1, bus fault + trip"][0])
-    found = rows_by_model(case, events_of(compare_andes.FAULT, where="test"))
-    counts = {model: len(rows) for model, rows in found.items()}
+    result = rows_by_model(case, events_of(compare_andes.FAULT, where="test"))
+    counts = {model: len(rows) for model, rows in result.items()}
     assert counts == {
         "Bus": 11,
         "Line": 12,
@@ -46,10 +46,10 @@ def test_every_device_of_a_case_becomes_one_row():
         "Toggle": 1,
     }
     machine = case.machines[0]
-    row = found["GENROU"][0]
+    row = result["GENROU"][0]
     assert (row["M"], row["Td20"], row["xl"]) == (2 * machine.H, machine.Td02, machine.Xl)
-    assert found["Slack"][0]["a0"] == pytest.approx(math.radians(-6.8))
-    assert found["Fault"][0]["tc"] == pytest.approx(1.0 + 8 / 60)
+    assert result["Slack"][0]["a0"] == pytest.approx(math.radians(-6.8))
+    assert result["Fault"][0]["tc"] == pytest.approx(1.0 + 8 / 60)
 
 
 def test_quadratic_saturation_has_value_and_slope_of_the_exponential_one():
@@ -108,8 +108,8 @@ def test_the_ratio_that_counts_is_at_the_longest_step_no_less_accurate(capsys, t
     """Accuracy asked for is 1e-5 pu, or that of the other tool where it does better."""
     errors = {0.001: 1e-13, 0.004: 3e-11, 0.01: 1e-6, 0.02: 2e-5}
     ours = {h: {"cpu": 1e-6 / h, "error": e, "ratio": 200.0 * h / 1e-3} for h, e in errors.items()}
-    found = {"andes": {"cpu": 0.2, "error": theirs}, "ours": ours}
-    assert bench_plant.print_against_andes("a fault", found) == counts
+    result = {"andes": {"cpu": 0.2, "error": theirs}, "ours": ours}
+    assert bench_plant.print_against_andes("a fault", result) == counts
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 3 + len(errors)
     for line, error in zip(lines[3:], errors.values(), strict=True):
@@ -144,15 +144,15 @@ def test_steps_of_a_sparse_network_with_ports_follow_the_dense_one():
     case = load_case("new-england").with_changes(power)
     fault = {"kind": "bus_fault", "bus": 16, "start_s": 0.05, "end_s": 0.12, "x_pu": 0.05}
     slots = event_parameters(case, events_of([fault], where="test"))
-    found = []
+    result = []
     for form, step_s in (("dense", 0.005), ("sparse", 0.005), ("dense", 0.0025)):
         loop, speeds = PlainPlant(case, slots, form), []
         at = [k for k, name in enumerate(loop.state_names) if name.endswith(".slip")]
         for begin in np.arange(0.0, 0.99, 0.02):
             loop.events(float(begin), float(begin) + 0.02, step_s)
             speeds.append(loop.states()[at])
-        found.append(np.array(speeds))
-    dense, sparse, fine = found
+        result.append(np.array(speeds))
+    dense, sparse, fine = result
     assert np.abs(dense).max() > 1e-3
     off = np.abs(sparse - dense).max()
     assert off < 1e-6 * np.abs(dense).max()

@@ -25,9 +25,9 @@ def test_examples_in_docstrings_print_what_they_say(room: str) -> None:
     package = importlib.import_module(f"interarea.{room}")
     tried = 0
     for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
-        found = doctest.testmod(importlib.import_module(module.name))
-        tried += found.attempted
-        assert found.failed == 0, module.name
+        result = doctest.testmod(importlib.import_module(module.name))
+        tried += result.attempted
+        assert result.failed == 0, module.name
     assert tried > 0
 
 
@@ -39,12 +39,12 @@ def test_examples_of_public_functions(module: str, tmp_path: Path, monkeypatch: 
         shutil.copy(file, tmp_path)
     monkeypatch.chdir(tmp_path)
     loaded = importlib.import_module(f"interarea.{module}")
-    found = [t for t in doctest.DocTestFinder().find(loaded) if t.examples]
+    result = [t for t in doctest.DocTestFinder().find(loaded) if t.examples]
     public = {n for n, place in ia._PLACE.items() if place == module} - {
         "load_case"
     }  # shown where it is defined
-    assert public <= {t.name.rpartition(".")[2] for t in found}
-    for example in sorted(found, key=lambda t: t.lineno or 0):
+    assert public <= {t.name.rpartition(".")[2] for t in result}
+    for example in sorted(result, key=lambda t: t.lineno or 0):
         assert doctest.DocTestRunner().run(example).failed == 0, example.name
 
 

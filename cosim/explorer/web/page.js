@@ -358,7 +358,7 @@ class Explorer {
       judged.kind === 'collapse' ? result.why.replace(/^fmi2\w+: /, '') : '',
     ].filter(Boolean).join(' · '));
     put($('cost'), `${result.exact ? 'exact: solver step' : 'coarse: solver step up to'} ${Number((1000 * (result.exact ? data.solver.exact : data.solver.drawn)).toFixed(2))} ms · ${Math.round((result.rows.length / result.columns.length - 1) * result.h)} s in ${Math.round(result.ms)} ms`);
-    if (!result.exact) return;   /* screen readers are told what stays */
+    if (!result.exact) return;   /* for screen readers: what stays */
     const peak = Math.max(...judged.swing.map(Math.abs));
     this.plots.swing.say(`${data.swing.label} over ${data.stop} s: largest ${digits(peak, 1)} mHz. ${bold} ${rest}`);
     if (this.plots.tie) this.plots.tie.say(`Tie power over ${data.stop} s: ${digits(Math.min(...this.curves.tie), 0)} to ${digits(Math.max(...this.curves.tie), 0)} MW.`);

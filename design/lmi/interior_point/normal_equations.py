@@ -19,7 +19,7 @@ class NormalEquations:
     """H = F*(G F(.) G) with its Cholesky factor.
 
     Solutions are refined by conjugate gradients: on H, and once `careful` on the operator
-    F*(G F(.) G) itself. On regular problems both end alike; where the optimum is approached only by
+    F*(G F(.) G) itself. On regular problems both agree; where the optimum is approached only by
     growing variables, the rounding in forming H would keep F*(Z) away from c.
     """
 

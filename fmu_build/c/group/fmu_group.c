@@ -183,7 +183,7 @@ static void compare_memory(Group *g, size_t n)
             g->same = memcmp(first, g->lane[k].c->block.memory, (g->n_memory - g->group.n_warm) * sizeof(double)) == 0;
         g->compared = n;
     }
-    g->group.alike = g->same ? first : NULL;
+    g->group.shared = g->same ? first : NULL;
 }
 
 /* The event at the end of the stretch; 0 when it cannot be handled here: it fails, or the block remarks on

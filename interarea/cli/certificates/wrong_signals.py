@@ -67,7 +67,7 @@ def certify_wrong(
     compared = () if detector is None else load_detector(detector).signals
     keys = {} if detector is None else {"file": str(detector.absolute())}
     with stage_progress([STEP]) as report:
-        found = certify_wrong_signals(
+        certificate = certify_wrong_signals(
             table.grid,
             loaded,
             place,
@@ -77,39 +77,39 @@ def certify_wrong(
             progress=lambda share: report(STEP, share),
         )
     if json_:
-        typer.echo(json.dumps(found.as_dict(), indent=2, allow_nan=False))
+        typer.echo(json.dumps(certificate.as_dict(), indent=2, allow_nan=False))
     else:
-        _show(found, place)
-    if not found.passed:
+        _show(certificate, place)
+    if not certificate.passed:
         raise typer.Exit(1)
 
 
-def _show(found: WrongCertificate, place: FaultPlace) -> None:
+def _show(certificate: WrongCertificate, place: FaultPlace) -> None:
     from interarea.cosim.screen.wrong_runs import STOP_S, WRONG_S
     from interarea.cosim.screen.wrong_signals import HEADER
 
-    late = ", ".join(f"{s} {1e3 * t:g} ms" for s, t in found.signals.items())
-    witnesses = f"; only compared: {', '.join(found.witnesses)}" if found.witnesses else ""
+    late = ", ".join(f"{s} {1e3 * t:g} ms" for s, t in certificate.signals.items())
+    witnesses = f"; only compared: {', '.join(certificate.witnesses)}" if certificate.witnesses else ""
     print_table(
-        f"{found.controller} on {found.case}, one signal wrong from {WRONG_S:g} s on ({late}{witnesses})",
+        f"{certificate.controller} on {certificate.case}, a wrong signal from {WRONG_S:g} s ({late}{witnesses})",
         HEADER,
-        found.table(),
+        certificate.table(),
     )
-    disturbances = ", ".join(dict.fromkeys(r.disturbance for r in found.rows))
-    points = " and ".join(dict.fromkeys(r.point for r in found.rows))
+    disturbances = ", ".join(dict.fromkeys(r.disturbance for r in certificate.rows))
+    points = " and ".join(dict.fromkeys(r.point for r in certificate.rows))
     typer.echo(f"each at {points} with {disturbances}; fault at {place}; verdicts of {STOP_S:g} s")
     print_table(
         "linear loop with a signal isolated",
         ("operating point", "signal", "stable", "worst swing", "inter-area"),
         [
             (o.point, o.signal, "yes" if o.stable else "NO", f"{o.worst_swing:.3f}", f"{o.inter_area:.3f}")
-            for o in found.out
+            for o in certificate.out
         ],
     )
-    every, right = found.isolations
+    every, right = certificate.isolations
     typer.echo(f"isolated: {every} signals, of which {right} were wrong")
-    for line in found.violations[:_SHOWN]:
+    for line in certificate.violations[:_SHOWN]:
         typer.echo(f"violated: {line}")
-    if len(found.violations) > _SHOWN:
-        typer.echo(f"violated: {len(found.violations) - _SHOWN} more (--json has all)")
-    typer.echo("passed" if found.passed else "does not pass")
+    if len(certificate.violations) > _SHOWN:
+        typer.echo(f"violated: {len(certificate.violations) - _SHOWN} more (--json has all)")
+    typer.echo("passed" if certificate.passed else "does not pass")

@@ -13,7 +13,7 @@ typedef struct {
     const BlockLayout *layout;
     const Record *record;   /* that of every block                                */
     double *memory;         /* n_memory of each lane                              */
-    double *alike;          /* n_memory that all lanes have in common, bit for bit but for its end; null: they differ */
+    double *shared;         /* n_memory that all lanes have in common, bit for bit but for its end; null: they differ */
     double *warm;           /* n_warm of each lane, in place of the end of memory: what evaluations change */
     size_t n_warm;
     double *x, *u, *y;

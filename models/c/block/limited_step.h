@@ -270,7 +270,7 @@ static inline int limited_affords(const LimitedRun *run, double t, double h)
     return *run->spent < LIMITED_FIRST + 0.5 * (t - run->begin) / h;
 }
 
-/* Adds what a step has used; the message is told when a run has used its first. */
+/* Adds what a step has used; the message is sent when a run has used its first. */
 static inline void limited_pay(const LimitedRun *run, const LimitedStep *s)
 {
     const int first = *run->spent < LIMITED_FIRST;

@@ -34,7 +34,7 @@ static inline double stretch_after(const Stretch *s)
 }
 
 /* From where the last stretch ended to the next event of the block or to the end; 0 when that event
- * does not lie ahead. Which step an event belongs to is told by times alone, so that none is lost. */
+ * does not lie ahead. Which step an event belongs to follows from times alone, so that none is lost. */
 static inline int stretch_next(Stretch *s, const Block *b)
 {
     /* An event this close to the end counts as reached: masters round. */

@@ -2,7 +2,7 @@
 #define INTERAREA_CHANNEL_VARIABLES_H
 /* A communication channel for one scalar signal.
  *
- * Time and sides. At a communication point t the channel is told u(t) and, when
+ * Time and sides. At a communication point t the channel gets u(t) and, when
  * the tool offers them, the input's derivatives. Its outputs are those just
  * after t: an outage window [start, end) shows at t = start and is over at
  * t = end. Instants closer than TIME_SLACK count as equal.

@@ -154,7 +154,7 @@ def layout_of(revision: int | None, bus: tuple[str, ...], quoted: bool, named: s
 
 
 def _middle(revision: int | None, named: str) -> int:
-    """26 or 29, whose buses look alike: their sections differ, or else the header says."""
+    """26 or 29, whose bus records look the same: their sections differ, or else the header says."""
     if not named and revision is not None and 24 <= revision <= 30:
         return 26 if revision <= 26 else 29
     return 26 if "TRANSFORMER ADJUSTMENT" in named else 29

@@ -93,10 +93,10 @@ def split_record(text: str, where: str) -> tuple[tuple[str, ...], str | None]:
         return _split_plain(head), rest if slash else None
     words: list[str] = []
     after_comma = True
-    for found in _WORD.finditer(text):
-        single, double, comma, slash, bare = (group or "" for group in found.groups())
+    for word in _WORD.finditer(text):
+        single, double, comma, slash, bare = (group or "" for group in word.groups())
         if slash:
-            return tuple(words), text[found.end() :]
+            return tuple(words), text[word.end() :]
         if comma:
             if after_comma:
                 words.append("")

@@ -22,13 +22,13 @@ def test_all_modes_are_printed_with_their_count(interarea) -> None:  # type: ign
 
 
 def test_the_json_holds_what_the_table_has(interarea) -> None:  # type: ignore[no-untyped-def]
-    found = json.loads(interarea("modes", "nets-nyps", "--below", "0.2", "--shapes", "--json")[1])
-    assert found["counted"] == len(found["modes"]) == 10
-    assert found["band_hz"] == [0.1, 2.5]
-    assert found["rotation"] is True
-    assert found["unstable"] == []
-    assert found["residual"] <= 1e-9
-    first = found["modes"][0]
+    document = json.loads(interarea("modes", "nets-nyps", "--below", "0.2", "--shapes", "--json")[1])
+    assert document["counted"] == len(document["modes"]) == 10
+    assert document["band_hz"] == [0.1, 2.5]
+    assert document["rotation"] is True
+    assert document["unstable"] == []
+    assert document["residual"] <= 1e-9
+    first = document["modes"][0]
     assert first["name"].startswith("inter-area")
     assert max(entry["size"] for entry in first["shape"].values()) == pytest.approx(1.0)
 
@@ -37,15 +37,15 @@ def test_modes_with_a_late_controller(interarea) -> None:  # type: ignore[no-unt
     """The inter-area mode of the certificate's row, 200 ms late, to the digits that it has."""
     given = ("new-england", "--band", "0.3:0.8", "--below", "0.3", "--controller", "new_england")
     given = (*given, "--latency", "0.2")
-    found = json.loads(interarea("modes", *given, "--json")[1])
-    assert (found["controller"], found["latency_s"]) == ("new_england", 0.2)
+    document = json.loads(interarea("modes", *given, "--json")[1])
+    assert (document["controller"], document["latency_s"]) == ("new_england", 0.2)
     rows = shipped_controller("new_england").certificate["rows"]
     row = next(r for r in rows if (r["point"], r["condition"]) == ("base", "s200"))
-    assert found["counted"] == len(found["modes"]) >= 2
-    least = min(mode["damping_ratio"] for mode in found["modes"])
+    assert document["counted"] == len(document["modes"]) >= 2
+    least = min(mode["damping_ratio"] for mode in document["modes"])
     assert least == pytest.approx(row["inter_area"], abs=1e-6)
     out = interarea("modes", *given)[1]
-    assert f"counted independently: {found['counted']}; with new_england, signals 0.2 s late" in out
+    assert f"counted independently: {document['counted']}; with new_england, signals 0.2 s late" in out
 
 
 @pytest.mark.parametrize(
@@ -81,8 +81,8 @@ def test_no_inter_area_mode_is_said(interarea) -> None:  # type: ignore[no-untyp
 
 
 def test_a_mode_on_the_counting_line_moves_it_and_that_is_said(interarea) -> None:  # type: ignore[no-untyped-def]
-    found = json.loads(interarea("modes", "two-area-thesis", "--below", "0.2", "--json")[1])
-    ratio = found["modes"][0]["damping_ratio"]
+    document = json.loads(interarea("modes", "two-area-thesis", "--below", "0.2", "--json")[1])
+    ratio = document["modes"][0]["damping_ratio"]
     code, out, _ = interarea("modes", "two-area-thesis", "--below", repr(ratio))
     assert code == 0
     assert f"damping ratio {ratio:.6g} moved to " in out

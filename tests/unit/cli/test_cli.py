@@ -33,15 +33,15 @@ def test_cases_lists_the_bundled_cases(interarea) -> None:  # type: ignore[no-un
 def test_modes_prints_what_an_independent_code_has(interarea) -> None:  # type: ignore[no-untyped-def]
     """Eigenvalues of kundur-thyristor-z by another program, to 3 digits."""
     code, out, _ = interarea("modes", "kundur-thyristor-z", "--json")
-    found = json.loads(out)
-    assert code == 0 and found["case"] == "kundur-thyristor-z"
-    assert found["states"] == len(found["eigenvalues"])
+    document = json.loads(out)
+    assert code == 0 and document["case"] == "kundur-thyristor-z"
+    assert document["states"] == len(document["eigenvalues"])
     for name, (real, imaginary) in {
         "inter-area": (0.0141, 3.829),
         "local area 1": (-0.6604, 7.180),
         "local area 2": (-0.6586, 7.403),
     }.items():
-        assert found["modes"][name]["eigenvalue"] == [
+        assert document["modes"][name]["eigenvalue"] == [
             pytest.approx(real, abs=5e-5),
             pytest.approx(imaginary, abs=5e-4),
         ]
@@ -63,8 +63,8 @@ def test_margins_say_how_far_controls_start_from_limits(interarea, tmp_path: Pat
 
 
 def test_loops_puts_g4_with_dw24_first(interarea) -> None:  # type: ignore[no-untyped-def]
-    found = json.loads(interarea("loops", "two-area-thesis", "--signals", "speed", "--json")[1])
-    ranking = found["loops"]["inter-area"]
+    document = json.loads(interarea("loops", "two-area-thesis", "--signals", "speed", "--json")[1])
+    ranking = document["loops"]["inter-area"]
     assert (ranking[0]["actuator"], ranking[0]["signal"]) == ("G4_vs", "dw24")
     indices = [row["index"] for row in ranking]
     assert indices == sorted(indices, reverse=True)

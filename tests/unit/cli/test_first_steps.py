@@ -243,14 +243,14 @@ def test_a_latency_without_its_unit_is_told_the_key(interarea) -> None:  # type:
 
 def test_everything_listed_is_taken_by_its_command(interarea) -> None:  # type: ignore[no-untyped-def]
     code, out, _ = interarea("list", "--json")
-    found = json.loads(out)
-    assert code == 0 and all(found.values())
-    assert set(found["cases"]) == set(case_names()) and set(found["scenarios"]) == set(scenario_names())
-    assert set(found["controllers"]) == set(NAMED_CONTROLLERS) - {"none"}
-    for name in found["designs"]:
+    document = json.loads(out)
+    assert code == 0 and all(document.values())
+    assert set(document["cases"]) == set(case_names()) and set(document["scenarios"]) == set(scenario_names())
+    assert set(document["controllers"]) == set(NAMED_CONTROLLERS) - {"none"}
+    for name in document["designs"]:
         assert load_design(name).name == name
     _, table, _ = interarea("list")
-    assert all(name in table for rows in found.values() for name in rows)
+    assert all(name in table for rows in document.values() for name in rows)
 
 
 def test_a_cache_that_cannot_be_written_is_named(capsys: pytest.CaptureFixture[str], monkeypatch) -> None:  # type: ignore[no-untyped-def]

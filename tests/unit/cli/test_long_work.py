@@ -41,10 +41,10 @@ def test_files_that_are_written_are_told_as_json(interarea: Command, tmp_path: P
     assert (code, err) == (0, "") and [f["file"] for f in files] == [str(raw), str(raw.with_suffix(".dyr"))]
     assert all(Path(f["file"]).is_file() for f in files) and files[1]["not_in_it"]
     code, out, err = interarea("import", raw, "--dyr", raw.with_suffix(".dyr"), "--out", back, "--json")
-    found = json.loads(out)
-    assert (code, err) == (0, "") and found["file"] == str(back) and back.is_file()
-    assert (found["read"]["buses"], found["read"]["units"]) == (11, 4)
-    assert all(remark["count"] >= 1 and remark["first"] for remark in found["assumed"])
+    document = json.loads(out)
+    assert (code, err) == (0, "") and document["file"] == str(back) and back.is_file()
+    assert (document["read"]["buses"], document["read"]["units"]) == (11, 4)
+    assert all(remark["count"] >= 1 and remark["first"] for remark in document["assumed"])
     code, out, _ = interarea("new", "scenario", "--out", tmp_path / "mine.toml", "--json")
     assert code == 0 and Path(json.loads(out)["file"]).is_file()
 
@@ -59,13 +59,13 @@ def test_verbose_tells_what_the_cache_had_and_how_long_steps_took(interarea: Com
 def test_build_tells_each_fmu_and_prints_them_as_json(interarea: Command, tmp_path: Path) -> None:
     words = ("build", "two-area-thesis", "--controller", "robust", "--out", tmp_path)
     code, out, err = interarea(*words, "--json")
-    found = json.loads(out)
+    document = json.loads(out)
     names = ["two-area-thesis", "channel", "robust"]
-    assert code == 0 and found["case"] == "two-area-thesis" and list(found["fmus"]) == names
-    assert all(Path(file).is_file() for file in found["fmus"].values())
+    assert code == 0 and document["case"] == "two-area-thesis" and list(document["fmus"]) == names
+    assert all(Path(file).is_file() for file in document["fmus"].values())
     assert err.splitlines() == [f"{name}.fmu: done" for name in names]
     code, out, err = interarea(*words, "--quiet")
-    assert (code, err) == (0, "") and out.split() == list(found["fmus"].values())
+    assert (code, err) == (0, "") and out.split() == list(document["fmus"].values())
 
 
 def test_certify_tells_its_steps(interarea: Command) -> None:
@@ -80,12 +80,12 @@ def test_sweep_and_its_maps_print_json(interarea: Command, tmp_path: Path) -> No
     (tmp_path / "two.toml").write_text(SWEEP, encoding="utf-8")
     folder = tmp_path / "out"
     code, out, _ = interarea("sweep", tmp_path / "two.toml", "--out", folder, "--workers", 1, "--json")
-    found = json.loads(out)
-    assert code == 0 and (found["runs"], found["ok"], found["failed"]) == (2, 2, 0)
-    assert found["folder"] == str(folder)
+    document = json.loads(out)
+    assert code == 0 and (document["runs"], document["ok"], document["failed"]) == (2, 2, 0)
+    assert document["folder"] == str(folder)
     code, out, err = interarea("maps", folder, "--worst", 1, "--json")
     page = json.loads(out)
-    assert code == 0 and page["runs"]["stable"] == found["stable"] == 2 and Path(page["page"]).is_file()
+    assert code == 0 and page["runs"]["stable"] == document["stable"] == 2 and Path(page["page"]).is_file()
     assert "figures: done" in err.splitlines()
     assert interarea("maps", folder, "--worst", 1, "--quiet")[2] == ""
 
@@ -95,11 +95,11 @@ def test_design_prints_what_it_found_as_json(interarea: Command, tmp_path: Path)
     (tmp_path / "tiny.toml").write_text(DESIGN, encoding="utf-8")
     words = ("design", tmp_path / "tiny.toml", "--out", tmp_path / "tiny.json")
     code, out, err = interarea(*words, "--json")
-    found = json.loads(out)
-    assert code == 0 and found["controller"] == "tiny" and found["certificate"]["passed"]
+    document = json.loads(out)
+    assert code == 0 and document["controller"] == "tiny" and document["certificate"]["passed"]
     saved = json.loads((tmp_path / "tiny.json").read_text(encoding="utf-8"))
-    assert found["certificate"] == saved["certificate"]
-    assert found["alternatives"][0]["alternative"] == "tiny" and found["files"] == [
+    assert document["certificate"] == saved["certificate"]
+    assert document["alternatives"][0]["alternative"] == "tiny" and document["files"] == [
         str(tmp_path / "tiny.json")
     ]
     assert "start 1 of 1: " in err

@@ -24,12 +24,12 @@ def test_tables_of_loops_and_sets(interarea) -> None:  # type: ignore[no-untyped
 
 def test_the_json_has_the_same(interarea) -> None:  # type: ignore[no-untyped-def]
     given = ("loops", "nets-nyps", "--below", "0.2", "--together", "4", "--mode", "inter-area 2", "--json")
-    found = json.loads(interarea(*given)[1])
-    assert found["targets"] == ["inter-area 2"]
-    best = found["loops"]["inter-area 2"][0]
+    document = json.loads(interarea(*given)[1])
+    assert document["targets"] == ["inter-area 2"]
+    best = document["loops"]["inter-area 2"][0]
     assert best["index"] == pytest.approx(1.0)
     assert {"actuator", "signal", "kind", "residue", "lead_deg", "beside"} <= set(best)
-    assert len(found["sets"][0]["actuators"]) == 4
+    assert len(document["sets"][0]["actuators"]) == 4
 
 
 def test_a_single_allowed_actuator_is_a_set(interarea) -> None:  # type: ignore[no-untyped-def]
@@ -39,27 +39,27 @@ def test_a_single_allowed_actuator_is_a_set(interarea) -> None:  # type: ignore[
 
 def test_sets_are_ranked_over_operating_points(interarea) -> None:  # type: ignore[no-untyped-def]
     points = ("--point", "out=8-9 a", "--point", "tie=100", "--point", "load=0.9")
-    found = json.loads(interarea("loops", "two-area-thesis", "--signals", "speed", *points, "--json")[1])
-    assert {one["weakest_point"] for one in found["sets"]} <= {"out=8-9 a", "tie=100", "load=0.9"}
-    assert all(0.0 < one["holds"] <= 1.0 for one in found["sets"])
-    assert found["remarks"] == []
+    document = json.loads(interarea("loops", "two-area-thesis", "--signals", "speed", *points, "--json")[1])
+    assert {one["weakest_point"] for one in document["sets"]} <= {"out=8-9 a", "tie=100", "load=0.9"}
+    assert all(0.0 < one["holds"] <= 1.0 for one in document["sets"])
+    assert document["remarks"] == []
 
 
 def test_sets_are_designed_shortly(interarea) -> None:  # type: ignore[no-untyped-def]
     """The open loop has .081; each set is tried with its own machine and the two of its signal."""
     given = ("loops", "two-area-thesis", "--signals", "speed", "--together", "1", "--try", "2")
-    found = json.loads(interarea(*given, "--json")[1])
-    dampings = [one["damping"] for one in found["designs"]]
+    document = json.loads(interarea(*given, "--json")[1])
+    dampings = [one["damping"] for one in document["designs"]]
     assert dampings == sorted(dampings, reverse=True) and dampings[-1] > 0.3
-    tried = {tuple(one["actuators"]) for one in found["designs"]}
-    assert tried == {tuple(one["actuators"]) for one in found["sets"][:2]}
+    tried = {tuple(one["actuators"]) for one in document["designs"]}
+    assert tried == {tuple(one["actuators"]) for one in document["sets"][:2]}
     # beside each set its own machines' speeds alone: the better damped of the two is what the sentence says
-    for one in found["designs"]:
+    for one in document["designs"]:
         assert one["own"] > 0.08
         pays = one["damping"] - one["own"] >= 0.02
         assert one["worth"].startswith("the link buys" if pays else "a local stabilizer does as well")
     out = interarea(*given)[1]
-    assert found["designs"][0]["worth"] in out
+    assert document["designs"][0]["worth"] in out
     assert "after a short design" in out and f"{dampings[0]:.3f}" in out
     code, _, err = interarea("loops", "two-area-thesis", "--signals", "angle", "--try", "1")
     assert code == 2 and "rank with speeds alone (--signals speed)" in err

@@ -82,12 +82,12 @@ def test_nothing_brings_back_a_machine_without_damping_and_governor(tmp_path: Pa
 
 def test_modes_of_a_machine_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    found = ia.modes(grid(tmp_path))
-    assert len(found) == 0
-    assert found.growth is not None
-    assert found.growth.stable
+    result = ia.modes(grid(tmp_path))
+    assert len(result) == 0
+    assert result.growth is not None
+    assert result.growth.stable
     with pytest.raises(ia.UserError, match="this system has no swing mode"):
-        _ = found.inter_area
+        _ = result.inter_area
     assert invoke(("import", "one.raw", "--dyr", "one.dyr", "--out", "one.toml"), monkeypatch)[0] == 0
     words = ("modes", "one.toml", "--shapes", "--margins", "--sensitivity", "machines.G1.H")
     code, out, complaint = invoke(words, monkeypatch)
@@ -115,6 +115,6 @@ def test_modes_against_an_infinite_bus(tmp_path: Path) -> None:
     zeros = zero_eigenvalues_of(plant)
     assert (zeros.rotation, zeros.common_speed, zeros.infinite) == (False, False, ("G2",))
     near = np.sum(np.abs(np.linalg.eigvals(plant.state_matrix())) < 1e-5)
-    found = all_modes(plant, case.areas, band_hz=(0.1, 3.0), below=0.2)
-    assert zeros.count == found.near_zero == near == 2
-    assert len(found.modes) == 1
+    result = all_modes(plant, case.areas, band_hz=(0.1, 3.0), below=0.2)
+    assert zeros.count == result.near_zero == near == 2
+    assert len(result.modes) == 1

@@ -28,8 +28,8 @@ def test_it_is_judged_under_plain_conditions_and_by_stability_alone() -> None:
     late, lost = ("N", "s50", "s100", "s150", "s200"), ("L:G2_dw", "L:G4_dw")
     assert judge.conditions == (*late, *lost, "s200+L:G2_dw", "s200+L:G4_dw")
     assert (judge.case, [point.name for point in judge.point]) == ("two-area-thesis", ["as it is"])
-    found = ia.certify(own(), conditions=["N", "s200"])
-    table = found.to_frame().set_index("condition")
+    certificate = ia.certify(own(), conditions=["N", "s200"])
+    table = certificate.to_frame().set_index("condition")
     # the loop without delay, closed by hand: one path that shares no delay code
     plant = ia.linearise("two-area-thesis")[["G2_dw", "G4_dw"], ["G4_vs"]]
     assert "speeds in pu" in str(ia.linearise("two-area-thesis").name)
@@ -41,8 +41,8 @@ def test_it_is_judged_under_plain_conditions_and_by_stability_alone() -> None:
     closed = control.feedback(in_rad, own().system, sign=1)
     rightmost = max(z.real for z in closed.poles() if abs(z) > 1e-6)
     assert table.rightmost["N"] == pytest.approx(rightmost, rel=1e-5)
-    assert not found.ok
-    assert found.violations[0] == "as it is, s200: unstable"
+    assert not certificate.ok
+    assert certificate.violations[0] == "as it is, s200: unstable"
 
 
 def test_own_conditions_alone_decide() -> None:

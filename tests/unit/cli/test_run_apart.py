@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from fmu_runner import decay_block
-from whims import whims_fmu
+from misbehaving import misbehaving_fmu
 
 from interarea.fmu_build.write.package import block_fmu
 
@@ -30,7 +30,7 @@ def scenario(tmp_path: Path) -> Callable[..., Path]:
 
 @pytest.mark.skipif(os.name != "posix", reason="the FMU ends its process by a signal")
 def test_a_crash_is_one_line(interarea: Call, scenario: Callable[..., Path], tmp_path: Path) -> None:
-    fmu = whims_fmu(tmp_path)
+    fmu = misbehaving_fmu(tmp_path)
     code, out, said = interarea("run", scenario(fmu, "abort_at = 0.75"), "--out", tmp_path / "o", "--quiet")
     assert code == 2 and out == ""
     assert "bad: the run: the FMU ended the process of the run (SIGABRT)" in said
@@ -41,7 +41,7 @@ def test_a_crash_is_one_line(interarea: Call, scenario: Callable[..., Path], tmp
 def test_what_runs_apart_gives_what_it_gives_here(
     interarea: Call, scenario: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    fmu = whims_fmu(tmp_path)
+    fmu = misbehaving_fmu(tmp_path)
     file = scenario(fmu, "u = 1.0")
     code, _, said = interarea("run", file, "--out", tmp_path / "apart")
     assert code == 0 and said.startswith("bad: not built here, so the run has a process of its own")
@@ -58,7 +58,7 @@ def test_a_mistake_there_has_its_own_code(
     interarea: Call, scenario: Callable[..., Path], tmp_path: Path
 ) -> None:
     code, _, said = interarea(
-        "run", scenario(whims_fmu(tmp_path), "nothing = 1.0"), "--out", tmp_path / "o", "--quiet"
+        "run", scenario(misbehaving_fmu(tmp_path), "nothing = 1.0"), "--out", tmp_path / "o", "--quiet"
     )
     assert code == 2 and "nothing" in said and len(said.strip().splitlines()) == 1
 
@@ -68,5 +68,5 @@ def test_what_was_built_here_or_is_isolated_runs_here(
 ) -> None:
     ours = block_fmu(decay_block(), cache)
     assert "not built here" not in interarea("run", scenario(ours, "u = 1.0"), "--out", tmp_path / "o")[2]
-    file = scenario(whims_fmu(tmp_path), "u = 1.0", "isolate = true\n")
+    file = scenario(misbehaving_fmu(tmp_path), "u = 1.0", "isolate = true\n")
     assert "not built here" not in interarea("run", file, "--out", tmp_path / "p")[2]

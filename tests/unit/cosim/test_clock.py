@@ -48,7 +48,7 @@ def test_times_that_the_clock_cannot_hold_are_refused(value: float) -> None:
 
 
 def test_steps_end_at_marks_and_on_the_grid_and_nowhere_else() -> None:
-    clock = Clock.of_seconds(0.05, 0.01, marks_s=[0.0133333, 0.02])
+    clock = Clock.of_seconds(0.05, 0.01, event_times_s=[0.0133333, 0.02])
     recorded = [s.end for s in clock.steps if s.recorded]
     assert recorded == [10_000_000, 13_333_300, 20_000_000, 30_000_000, 40_000_000, 50_000_000]
     assert sum(s.edge for s in clock.steps) == 4  # one tick before and one after each mark

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from whims import whims_fmu
+from misbehaving import misbehaving_fmu
 
 from interarea.cosim.errors import GraphError, StepError
 from interarea.cosim.run.system import System
@@ -17,22 +17,22 @@ ENGINES = ("kernel", "python")
 
 
 @pytest.fixture(scope="module")
-def whims(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return whims_fmu(tmp_path_factory.mktemp("whims"))
+def misbehaving(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return misbehaving_fmu(tmp_path_factory.mktemp("misbehaving"))
 
 
-def chain(whims: Path, early_at: float, **options: Any) -> System:
+def chain(misbehaving: Path, early_at: float, **options: Any) -> System:
     """dx/dt = 2 - t; dy/dt = x, y jumps by 0.5 at `early_at`, where its FMU returns; dz/dt = y."""
     system = System(stop_s=1.0, step_s=0.1, **options)
-    system.fmu("ramp", whims, x0=2.0, u=-1.0)
-    system.fmu("y", whims, early_at=early_at, kick=0.5).fmu("z", whims)
+    system.fmu("ramp", misbehaving, x0=2.0, u=-1.0)
+    system.fmu("y", misbehaving, early_at=early_at, kick=0.5).fmu("z", misbehaving)
     return system.connect("ramp.y", "y.u").connect("y.y", "z.u")
 
 
-def test_the_word_of_0_1_for_continue_is_still_read(whims: Path) -> None:
+def test_the_word_of_0_1_for_continue_is_still_read(misbehaving: Path) -> None:
     same = {"case": "two-area-thesis", "stop_s": 1.0, "master": {"early": "go on"}}
     assert load_scenario(same).master.early == "continue"
-    with chain(whims, 0.4321, early="go on").master() as master:
+    with chain(misbehaving, 0.4321, early="go on").master() as master:
         assert master.plan.early == "continue"
 
 
@@ -42,22 +42,22 @@ def exact(t: np.ndarray, at: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_an_fmu_that_returns_early_goes_on_from_there(whims: Path, engine: str) -> None:
+def test_an_fmu_that_returns_early_goes_on_from_there(misbehaving: Path, engine: str) -> None:
     """It gets its input along the same polynomial: what it integrates is exact, jump and all."""
-    result = chain(whims, 0.4321, engine=engine).run()
+    result = chain(misbehaving, 0.4321, engine=engine).run()
     y, _ = exact(result["time_s"], 0.4321)
     np.testing.assert_allclose(result["y.y"], y, rtol=1e-12)
 
 
-def test_both_engines_give_the_same_bits(whims: Path) -> None:
-    kernel, python = (chain(whims, 0.4321, engine=engine).run().data for engine in ENGINES)
+def test_both_engines_give_the_same_bits(misbehaving: Path) -> None:
+    kernel, python = (chain(misbehaving, 0.4321, engine=engine).run().data for engine in ENGINES)
     assert kernel.equals(python)
 
 
-def test_rolled_back_the_others_see_it_at_its_instant(whims: Path) -> None:
+def test_rolled_back_the_others_see_it_at_its_instant(misbehaving: Path) -> None:
     """z integrates the jump of y from the instant it happened (a tick is 1 ns), not from the step's end."""
-    going_on = chain(whims, 0.4321).run()
-    with chain(whims, 0.4321, early="roll back").master() as master:
+    going_on = chain(misbehaving, 0.4321).run()
+    with chain(misbehaving, 0.4321, early="roll back").master() as master:
         rolled = master.run()
         assert master.rolled_back == 1
     y, z = exact(rolled.time_s, 0.4321)
@@ -65,14 +65,14 @@ def test_rolled_back_the_others_see_it_at_its_instant(whims: Path) -> None:
     np.testing.assert_allclose(rolled["z.y"], z, atol=1e-9)
     assert np.max(np.abs(going_on["z.y"] - z)) > 1e-3
     np.testing.assert_array_equal(rolled.time_s, going_on["time_s"])
-    assert rolled.data.equals(chain(whims, 0.4321, early="roll back").run().data)
+    assert rolled.data.equals(chain(misbehaving, 0.4321, early="roll back").run().data)
 
 
 @pytest.mark.parametrize("early", ["continue", "roll back"])
-def test_an_fmu_that_takes_short_steps_only_gets_them(whims: Path, early: str) -> None:
+def test_an_fmu_that_takes_short_steps_only_gets_them(misbehaving: Path, early: str) -> None:
     """Steps of 30 ms at most where 100 are asked: halved until it takes them."""
     system = System(stop_s=1.0, step_s=0.1, early=early)
-    system.fmu("a", whims, longest=0.03, u=1.0)
+    system.fmu("a", misbehaving, longest=0.03, u=1.0)
     result = system.run()
     np.testing.assert_allclose(result["a.y"], result["time_s"], rtol=1e-12)
 
@@ -87,9 +87,9 @@ def test_an_fmu_that_takes_short_steps_only_gets_them(whims: Path, early: str) -
     ],
 )
 def test_what_cannot_go_on_fails_with_the_results_so_far(
-    whims: Path, early: str, start: dict[str, float], says: str, time_s: float
+    misbehaving: Path, early: str, start: dict[str, float], says: str, time_s: float
 ) -> None:
-    system = System(stop_s=1.0, step_s=0.1, early=early).fmu("a", whims, u=1.0, **start)
+    system = System(stop_s=1.0, step_s=0.1, early=early).fmu("a", misbehaving, u=1.0, **start)
     with pytest.raises(StepError, match=says) as caught:
         system.run()
     assert (caught.value.instance, caught.value.call) == ("a", "fmi2DoStep")
@@ -100,11 +100,11 @@ def test_what_cannot_go_on_fails_with_the_results_so_far(
     np.testing.assert_allclose(run["a.y"], run.time_s, atol=1e-12)
 
 
-def test_rolling_back_asks_for_saved_states_and_python(tmp_path: Path, whims: Path) -> None:
-    lame = whims_fmu(tmp_path, saves_state=False)
+def test_rolling_back_asks_for_saved_states_and_python(tmp_path: Path, misbehaving: Path) -> None:
+    lame = misbehaving_fmu(tmp_path, saves_state=False)
     with pytest.raises(GraphError, match="a cannot save its state"):
         System(stop_s=1.0, early="roll back").fmu("a", lame).run()
     with pytest.raises(GraphError, match="cannot roll back"):
-        System(stop_s=1.0, early="roll back", engine="kernel").fmu("a", whims).master()
+        System(stop_s=1.0, early="roll back", engine="kernel").fmu("a", misbehaving).master()
     with pytest.raises(GraphError, match="early = 'never': allowed are continue, roll back"):
-        System(stop_s=1.0, early="never").fmu("a", whims).master()
+        System(stop_s=1.0, early="never").fmu("a", misbehaving).master()

@@ -13,10 +13,10 @@ import interarea as ia
 @pytest.mark.parametrize("k", [0.3, 2.0, 40.0])
 def test_the_margin_of_an_integrator_is_a_quarter_turn(k: float) -> None:
     """|k / s| = 1 at k with a phase of -90 degrees: pi / 2 left, over k."""
-    found = ia.delay_margin(control.ss(0, 1, k, 0))
-    assert found.margin_s == pytest.approx(np.pi / 2.0 / k, rel=1e-12)
-    assert found.frequency_rad == pytest.approx(k, rel=1e-12)
-    assert ia.delay_margin((0, 1, -k, 0), sign=1).margin_s == pytest.approx(found.margin_s, rel=1e-12)
+    margin = ia.delay_margin(control.ss(0, 1, k, 0))
+    assert margin.margin_s == pytest.approx(np.pi / 2.0 / k, rel=1e-12)
+    assert margin.frequency_rad == pytest.approx(k, rel=1e-12)
+    assert ia.delay_margin((0, 1, -k, 0), sign=1).margin_s == pytest.approx(margin.margin_s, rel=1e-12)
 
 
 def test_the_smallest_of_several_crossings_counts() -> None:
@@ -26,9 +26,9 @@ def test_the_smallest_of_several_crossings_counts() -> None:
     L_w = 0.4 / (1j * w) + 0.5j * w / (9.0 - w**2 + 0.2j * w)
     k = np.flatnonzero(np.diff(np.sign(np.abs(L_w) - 1.0)))
     delays = (np.angle(L_w[k]) + np.pi) % (2.0 * np.pi) / w[k]
-    found = ia.delay_margin(L)
-    assert len(k) == 3 and found.margin_s == pytest.approx(delays.min(), rel=1e-4)
-    assert found.frequency_rad == pytest.approx(w[k][np.argmin(delays)], rel=1e-4)
+    margin = ia.delay_margin(L)
+    assert len(k) == 3 and margin.margin_s == pytest.approx(delays.min(), rel=1e-4)
+    assert margin.frequency_rad == pytest.approx(w[k][np.argmin(delays)], rel=1e-4)
 
 
 def test_a_loop_below_gain_one_bears_any_delay_and_an_unstable_one_none() -> None:

@@ -79,12 +79,12 @@ def test_modes_and_loops_as_tables_and_figures() -> None:
 def test_the_selected_loop_is_for_the_least_damped_target() -> None:
     modes = ia.modes("nets-nyps")
     worst = min((m for n, m in modes.items() if n.startswith("inter-area")), key=lambda m: m.damping_ratio)
-    found = ia.loops("nets-nyps", signals=["speed"], most=3)
-    assert len(found.targets) == 4 and len(found.to_frame()) == 12
-    assert found.selected.mode == found.least_damped
-    assert found.selected is found.loops[found.least_damped][0]
+    result = ia.loops("nets-nyps", signals=["speed"], most=3)
+    assert len(result.targets) == 4 and len(result.to_frame()) == 12
+    assert result.selected.mode == result.least_damped
+    assert result.selected is result.loops[result.least_damped][0]
     near = [m for m in modes.values() if abs(m.damping_ratio - worst.damping_ratio) < 1e-6]
-    assert len(near) == 1 and found.least_damped == near[0].name
+    assert len(near) == 1 and result.least_damped == near[0].name
 
 
 def test_a_dense_model_of_too_many_states_is_refused_before_it_is_built(monkeypatch) -> None:
@@ -117,13 +117,13 @@ def test_certify_judges_any_form_by_one_family(hand_controller: ia.Controller) -
         "point": [{"name": "base"}],
         "ask": {"worst_swing": 0.9},
     }
-    found = ia.certify(hand_controller.system, spec=family)
-    assert not found.ok and "worst swing damping" in found.violations[0]
-    assert list(found.rows.point) == ["base"] and found.rows.stable.all()
-    assert found.plot().axes[0].get_xlabel() == "least damping ratio of the swings"
-    assert "controller on two-area-thesis" in found._repr_html_()
+    certificate = ia.certify(hand_controller.system, spec=family)
+    assert not certificate.ok and "worst swing damping" in certificate.violations[0]
+    assert list(certificate.rows.point) == ["base"] and certificate.rows.stable.all()
+    assert certificate.plot().axes[0].get_xlabel() == "least damping ratio of the swings"
+    assert "controller on two-area-thesis" in certificate._repr_html_()
     easy = ia.certify(hand_controller, spec={**family, "ask": {}})
-    assert easy.ok and easy.rows.worst_swing[0] == found.rows.worst_swing[0]
+    assert easy.ok and easy.rows.worst_swing[0] == certificate.rows.worst_swing[0]
 
 
 def test_mistakes_are_user_errors_in_one_line() -> None:
@@ -172,6 +172,6 @@ def test_an_fmu_and_an_archive_pass_our_check(tmp_path: Path, hand_controller: i
         ia.write_ssp(scenario, tmp_path / "loop.ssp"),
         ia.write_container(scenario, tmp_path / "loop.fmu"),
     ):
-        found = ia.check(file, run=False)
-        assert found.clean, found
-        assert repr(found).splitlines() == [f"{file}: {found.verdict}"]
+        result = ia.check(file, run=False)
+        assert result.clean, result
+        assert repr(result).splitlines() == [f"{file}: {result.verdict}"]

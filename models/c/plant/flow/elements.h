@@ -33,7 +33,7 @@ typedef struct {
     const cell *p, *q, *p_mod, *q_mod; /* of a converter: in the arrays of pe, ifd, vs, vc    */
 } DeviceSignals;
 
-/* Limiters, gates and other kinks decide by comparing signals: decision i of a device is bit i of
+/* Limiters, gates and other slope discontinuities decide by comparing signals: decision i of a device is bit i of
  * its word. A step of the solver in which a word changes is done again (block/limited_step.h) with
  * the decisions held as they were at its begin, up to where the first no longer fits. PLANT_HELD
  * compiles that: what a decision would be does not matter there, but `enter` is above 0 where one

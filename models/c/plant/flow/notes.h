@@ -1,7 +1,7 @@
 #ifndef INTERAREA_NOTES_H
 #define INTERAREA_NOTES_H
 #include "../numbers/scalar.h"
-/* What the devices' limiters, gates and other kinks decided at the begin of a step (elements.h), a
+/* What the devices' limiters, gates and other slope discontinuities decided at the begin of a step (elements.h), a
  * word for each device, and what becomes of it at other points of the step. All zero: nothing is noted. */
 typedef struct {
     cell *words;      /* a word for each device, or null                                     */

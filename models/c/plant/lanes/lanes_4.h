@@ -14,7 +14,7 @@
 #define PLANT_LANES 4
 #define PART(a) (a)
 #ifdef PLANT_ALIKE
-#define NAME(f) f##_alike_4
+#define NAME(f) f##_shared_4
 #else
 #define NAME(f) f##_4
 #endif

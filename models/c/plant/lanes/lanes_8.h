@@ -14,7 +14,7 @@
 #define PLANT_LANES 8
 #define PART(a) (a)
 #ifdef PLANT_ALIKE
-#define NAME(f) f##_alike_8
+#define NAME(f) f##_shared_8
 #else
 #define NAME(f) f##_8
 #endif

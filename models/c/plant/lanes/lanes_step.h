@@ -14,7 +14,7 @@ static inline num keep_idle(num h, num moved, num x)
 static num *lanes_of(double *a) { return (num *)(void *)a; }
 
 #ifdef PLANT_ALIKE   /* one memory for all: a PLANT_LANES-th of what there is to read */
-static real *memory_of(const BlockGroup *g) { return g->alike; }
+static real *memory_of(const BlockGroup *g) { return g->shared; }
 #else
 static real *memory_of(const BlockGroup *g) { return lanes_of(g->memory); }
 #endif

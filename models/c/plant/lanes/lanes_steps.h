@@ -9,6 +9,6 @@
 typedef void LanesStep(const BlockGroup *group);
 LanesStep lanes_step_2, lanes_step_4, lanes_step_8, lanes_outputs_2, lanes_outputs_4, lanes_outputs_8;
 LanesStep lanes_rates_2, lanes_rates_4, lanes_rates_8;
-LanesStep lanes_step_alike_4, lanes_step_alike_8, lanes_outputs_alike_4, lanes_outputs_alike_8;
-LanesStep lanes_rates_alike_4, lanes_rates_alike_8;
+LanesStep lanes_step_shared_4, lanes_step_shared_8, lanes_outputs_shared_4, lanes_outputs_shared_8;
+LanesStep lanes_rates_shared_4, lanes_rates_shared_8;
 #endif

@@ -16,8 +16,8 @@ double block_group_stamp(const Block *b) { return b->memory[H_PORT_FOLDS]; }
 
 /* f as wide as the group. Two lanes save too little by a memory in common to have code of their own. */
 #define WIDE(f) \
-    (lanes == 8 ? (g->alike != NULL ? f##_alike_8(g) : f##_8(g)) \
-     : lanes == 4 ? (g->alike != NULL ? f##_alike_4(g) : f##_4(g)) : f##_2(g))
+    (lanes == 8 ? (g->shared != NULL ? f##_shared_8(g) : f##_8(g)) \
+     : lanes == 4 ? (g->shared != NULL ? f##_shared_4(g) : f##_4(g)) : f##_2(g))
 
 void block_group_step(const BlockGroup *g, size_t lanes)
 {

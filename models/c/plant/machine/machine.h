@@ -19,7 +19,7 @@
  *
  * eq2, ed2 are the subtransient EMFs themselves: eq2 = a eq1 + (1-a) psi_kd,
  * ed2 = b ed1 + (1-b) psi_kq, the flux linkages psi of the outer dampers obeying
- * Td02 d psi_kd/dt = eq1 - psi_kd - (Xd1 - Xl) id, and alike in q. The bracket
+ * Td02 d psi_kd/dt = eq1 - psi_kd - (Xd1 - Xl) id, and the same in q. The bracket
  * after (Xd - Xd1) plus eq1 is the field current Xad ifd.
  *
  * Stator:  vd = ed2 - Ra id + Xq2 iq,   vq = eq2 - Ra iq - Xd2 id

@@ -16,7 +16,7 @@
  * psiT1, where it is small: the book's jump there would stop an integrator.
  *
  * Incremental: S keeps its value along the line, with Kundur's incremental factor,
- *     isd = isd0 + Bsat psi_I0 (psi_ad - psi_ad0)/(Xd - Xl),   isq alike.
+ *     isd = isd0 + Bsat psi_I0 (psi_ad - psi_ad0)/(Xd - Xl),   isq likewise.
  *
  * The network sees the EMF behind Ra + j Xd2 on both axes; what X''q differs from it
  * is (psi_aq + ed2) [1/(Xd2 - Xl) - 1/(Xq2 - Xl)] on the q axis. Altogether

@@ -178,7 +178,7 @@ static double scale_of(const Problem *s)
 }
 
 /* Newton steps from the voltages in s->at: damped so that the residual falls, or
- * `free` to rise, which passes the kinks where a load becomes an impedance. Returns
+ * `free` to rise, which passes the slope discontinuities where a load becomes an impedance. Returns
  * n_port, or the port farthest from a solution. work: 8 n_port. */
 static size_t newton(const Problem *s, int free, double *work)
 {

@@ -171,7 +171,7 @@ static inline flag port_iterate(const real *memory, const Plan *plan, size_t lan
 {
     enum { MOST = 16 };
     const double accuracy = care == PORT_EXACT ? 0.0 : 1e-12;
-    const double rounding = 1e-13, poor_from = 0.3, least = 1e-4, doubt = 4.0, forget = 1.1;
+    const double rounding = 1e-13, slow_from = 0.3, least = 1e-4, margin = 4.0, decay = 1.1;
     const size_t n = plan->n_port, m = plan->n_machine;
     const real *slope = memory + plan->port_slope;
     num *v = w.v_re, *rest = work, *next = work + 2 * n, before = NUM(INFINITY), known = warm[W_RATIO], scale = NUM(1.0);
@@ -198,14 +198,14 @@ static inline flag port_iterate(const real *memory, const Plan *plan, size_t lan
         }
         const num ratio = num_ratio(moved, before);
         const flag quiet = num_reaches(rounding * scale, moved), first = num_above(NUM(1.5), NUM((double)count));
-        const flag contracts = num_above(NUM(poor_from), ratio) | first | quiet;
+        const flag contracts = num_above(NUM(slow_from), ratio) | first | quiet;
         const flag poor = open & flag_not(num_above(NUM(1e6), moved) & contracts);
         failed = failed | poor;
         open = open & flag_not(poor);
         known = num_pick(open & flag_not(first), num_larger(ratio, NUM(least)), known);
-        const num after = num_pick(first, doubt * known, known) * moved;
+        const num after = num_pick(first, margin * known, known) * moved;
         const flag enough = open & (quiet | num_reaches(NUM(accuracy), after));
-        known = num_pick(enough & first & flag_not(quiet), known * forget, known);
+        known = num_pick(enough & first & flag_not(quiet), known * decay, known);
         open = open & flag_not(enough);
         before = moved;
     }

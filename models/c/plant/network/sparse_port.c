@@ -7,12 +7,12 @@ enum { MOST = 12, ENOUGH = 5, MOST_STEPS = 40 };
 static const double ACCURACY = 1e-11;   /* of the voltages, estimated error relative to the largest */
 static const double STEP_ACCURACY = 3e-8; /* the same within a step of the integrator: below 1e-7 of what speeds do */
 static const double ROUNDING = 1e-13;   /* what a further step moves when all is said */
-static const double POOR = 0.3;         /* contraction above which other slopes are wanted */
-static const double POORER = 0.004;     /* contraction above which they are wanted when these have been used enough */
-static const double WORTH = 64.0;        /* solutions that pay for other slopes */
+static const double SLOW = 0.3;         /* contraction above which other slopes are wanted */
+static const double SLOWER = 0.004;     /* contraction above which they are wanted when these have been used enough */
+static const double OFTEN = 64.0;        /* solutions that pay for other slopes */
 static const double LEAST = 1e-4;       /* contraction that is believed */
-static const double DOUBT = 4.0;        /* how much poorer it may be than a solution before has found it */
-static const double FORGET = 1.1;       /* by what it is taken to be poorer after a solution that did not look */
+static const double MARGIN = 4.0;        /* how much slower it may be than a solution before has found it */
+static const double DECAY = 1.1;       /* by what it is taken to be slower after a solution that did not look */
 static const double SAME_S = 1e-9;      /* times so close are one */
 static const double MOST_FLUX = 1.2;    /* where an iteration may start: psi_I grows exponentially */
 
@@ -160,13 +160,13 @@ static int iterate(const Problem *s, double accuracy, size_t *port)
 
     for (int count = 1; count <= MOST; ++count) {
         const double moved = step(s, port), ratio = moved / before;
-        if (!(moved < 1e6) || (moved > ROUNDING && !(ratio < POOR) && count > 1)) return 0;
+        if (!(moved < 1e6) || (moved > ROUNDING && !(ratio < SLOW) && count > 1)) return 0;
         take(s, 1.0);
         if (count == ENOUGH) s->memory[H_PORT_READY] = 0.0;   /* slow: other slopes the next time */
         if (count > 1) *known = larger(ratio, LEAST);
         if (moved <= ROUNDING) return 1;
-        if (moved * *known * (count > 1 ? 1.0 : DOUBT) <= accuracy) {
-            if (count == 1) *known *= FORGET;
+        if (moved * *known * (count > 1 ? 1.0 : MARGIN) <= accuracy) {
+            if (count == 1) *known *= DECAY;
             return 1;
         }
         before = moved;
@@ -175,7 +175,7 @@ static int iterate(const Problem *s, double accuracy, size_t *port)
 }
 
 /* Newton steps with slopes of their own from s->at, halved until the next step would be shorter, or `free`
- * to grow, which passes the kinks where a load becomes an impedance. */
+ * to grow, which passes the slope discontinuities where a load becomes an impedance. */
 static int newton(const Problem *s, int free, size_t *port)
 {
     double *from = s->work + 4 * s->plan->n_node, *to = from + 2 * s->plan->n_port;
@@ -266,6 +266,6 @@ size_t sparse_port_solve(double *memory, const Plan *plan, const Pattern *patter
     if (plan->n_node > plan->n_bus) sparse_port_inject(memory, plan, x, sine, cosine, w, e_re, e_im);
     keep(s);
     memory[H_PORT_USED] += 1.0;
-    if (memory[H_PORT_RATIO] > POORER && memory[H_PORT_USED] >= WORTH) memory[H_PORT_READY] = 0.0;
+    if (memory[H_PORT_RATIO] > SLOWER && memory[H_PORT_USED] >= OFTEN) memory[H_PORT_READY] = 0.0;
     return plan->n_port;
 }

@@ -77,8 +77,8 @@ def test_loads_reach_every_load_and_replace_its_mix() -> None:
 def test_an_acceptance_runs_every_kind_of_loads(cache: Path) -> None:
     few = TABLE.model_copy(update={"ceilings": (), "latency_s": (0.1,), "loads": ((1.0, 2.0),)})
     K = shipped_controller("robust")
-    found = judge_acceptance(K, CASES, few, cache, clearing=False)
-    assert (found.cases, found.lost) == (6, ())
+    acceptance = judge_acceptance(K, CASES, few, cache, clearing=False)
+    assert (acceptance.cases, acceptance.lost) == (6, ())
     case = CASES["tie +100"]
     exponents = {load.name: {"P_exponent": 1.0} for load in case.loads}
     grids = (case, None), (case, (1.0, 2.0)), (case.with_changes({"loads": exponents}), None)
@@ -108,13 +108,15 @@ def test_a_limit_cycle_after_a_loss_is_no_success(cache: Path) -> None:
     """A controller without its local signal keeps synchronism; a minute shows that nothing decays."""
     K, grid = Controller.load(WITHOUT_LOCAL), {"base": load_case("two-area-thesis")}
     bus_8 = AcceptanceTable(fault=({"bus": 8},), latency_s=(0.05, 0.1))  # type: ignore[arg-type]
-    found = judge_acceptance(K, grid, bus_8, cache, clearing=False)
-    assert (found.cases, found.loops, found.lost, found.longest_s) == (6, 6, (), 60.0)
+    acceptance = judge_acceptance(K, grid, bus_8, cache, clearing=False)
+    assert (acceptance.cases, acceptance.loops, acceptance.lost, acceptance.longest_s) == (6, 6, (), 60.0)
     places = [f"base, fault at bus 8, G4_dw lost, {ms} ms" for ms in (50, 100)]
-    assert [s.partition(":")[0] for s in found.standing] == places
-    assert all("standing swing: controller.G4_vs is at its limit of 0.05 pu" in s for s in found.standing)
-    assert [s.partition(":")[0] for s in found.unstable] == [f"after {place}" for place in places]
-    assert len(found.violations) == 4
+    assert [s.partition(":")[0] for s in acceptance.standing] == places
+    assert all(
+        "standing swing: controller.G4_vs is at its limit of 0.05 pu" in s for s in acceptance.standing
+    )
+    assert [s.partition(":")[0] for s in acceptance.unstable] == [f"after {place}" for place in places]
+    assert len(acceptance.violations) == 4
 
     exempt = bus_8.model_copy(update={"never_lost": ("G4_dw",)})
     held = judge_acceptance(K, grid, exempt, cache, clearing=False)
@@ -129,10 +131,10 @@ def test_a_bank_that_loses_the_grid_when_a_flag_falls_fails(cache: Path) -> None
     """Without a guard, as `active` was in version 0.4; with it nothing is lost."""
     few = AcceptanceTable(fault=({"bus": 8, "trip": "8-9 a"},))  # type: ignore[arg-type]
     bank = ControllerBank.load(Path(__file__).parent / "bank_without_guard.json")
-    found = judge_acceptance(bank, CASES, few, cache, clearing=False)
-    assert found.lost == ("tie +100, fault at bus 8, 8-9 a tripped, G2_dw lost, 100 ms",)
+    acceptance = judge_acceptance(bank, CASES, few, cache, clearing=False)
+    assert acceptance.lost == ("tie +100, fault at bus 8, 8-9 a tripped, G2_dw lost, 100 ms",)
     # with loads of constant power there is no power flow without the circuit
-    assert found.unsolved == ("tie +100 without 8-9 a",)
+    assert acceptance.unsolved == ("tie +100 without 8-9 a",)
     held = judge_acceptance(shipped_bank("active"), CASES, few, cache, clearing=False)
     assert (held.cases, held.violations) == (3, ())
 
@@ -251,8 +253,8 @@ def test_the_kept_certificates_are_those_of_the_controllers(cache: Path) -> None
     table = load_design("robust_latency")
     row = known["rows"][0]
     plant = speeds_in_rad(remove_reference(linear_plant(case, cache)), case.omega_b)
-    found = judge_family({"base": plant}, controller.system, table.family()[:1])
-    assert found.rows[0].worst_swing == pytest.approx(row["worst_swing"], abs=1e-4)
+    certificate = judge_family({"base": plant}, controller.system, table.family()[:1])
+    assert certificate.rows[0].worst_swing == pytest.approx(row["worst_swing"], abs=1e-4)
     assert table.acceptance is not None
     lost = next(each for each in known["acceptance"]["lost"] if each.startswith("tie +100, fault"))
     for setting in (

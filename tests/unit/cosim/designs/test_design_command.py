@@ -71,18 +71,18 @@ def test_the_figures_draw_the_numbers_of_the_verdict(tmp_path: Path, cache: Path
     table = load_design(spec_file(tmp_path, 0.1))
     K = shipped_controller("robust").system
     still = control.ss(K.A, K.B, 0.0 * K.C, 0.0 * K.D, inputs=K.input_labels, outputs=K.output_labels)
-    found = compare(table, {"robust": K, "none": still}, cache)
-    assert [a.name for a in found] == ["robust", "none"]
-    assert found[1].verdict.effort == pytest.approx(0.0, abs=1e-12)
-    assert found[1].verdict.inter_area == pytest.approx(0.081, abs=2e-3)  # the open loop's
-    assert found[0].cells()[1:4] == (
+    result = compare(table, {"robust": K, "none": still}, cache)
+    assert [a.name for a in result] == ["robust", "none"]
+    assert result[1].verdict.effort == pytest.approx(0.0, abs=1e-12)
+    assert result[1].verdict.inter_area == pytest.approx(0.081, abs=2e-3)  # the open loop's
+    assert result[0].cells()[1:4] == (
         "6",
-        f"{found[0].verdict.worst_swing:.4f}",
-        f"{found[0].verdict.inter_area:.4f}",
+        f"{result[0].verdict.worst_swing:.4f}",
+        f"{result[0].verdict.inter_area:.4f}",
     )
-    dots = [tuple(line.get_xydata()[0]) for line in effort_figure(found, 0.16, 0.1).axes[0].lines]
-    assert dots[0] == pytest.approx((found[0].verdict.effort, found[0].verdict.worst_swing))
-    assert dots[1] == pytest.approx((found[0].verdict.effort, found[0].verdict.inter_area))
+    dots = [tuple(line.get_xydata()[0]) for line in effort_figure(result, 0.16, 0.1).axes[0].lines]
+    assert dots[0] == pytest.approx((result[0].verdict.effort, result[0].verdict.worst_swing))
+    assert dots[1] == pytest.approx((result[0].verdict.effort, result[0].verdict.inter_area))
 
 
 def test_sensitivity_of_a_loop_in_closed_form() -> None:

@@ -26,10 +26,10 @@ def all_modes(A: np.ndarray) -> Modes:
     """Every eigenvalue of A as a mode."""
     values, right = np.linalg.eig(A)
     left = np.linalg.inv(right)
-    found = {
+    result = {
         f"{k}": Mode(f"{k}", z, {}, Participation(), 1.0, right[:, k], left[k]) for k, z in enumerate(values)
     }
-    return Modes(found, values)
+    return Modes(result, values)
 
 
 def test_against_the_derivative_of_a_known_family():
@@ -42,9 +42,9 @@ def test_against_the_derivative_of_a_known_family():
         return T @ np.diag([p, p * p, 3 * np.sin(p)]) @ np.linalg.inv(T)
 
     p = 0.7
-    found = eigenvalue_sensitivity(all_modes(A(p)), A, p, parameter="p")
+    modes = eigenvalue_sensitivity(all_modes(A(p)), A, p, parameter="p")
     wanted = {p: 1.0, p * p: 2 * p, 3 * np.sin(p): 3 * np.cos(p)}
-    for s in found.values():
+    for s in modes.values():
         value = min(wanted, key=lambda z, s=s: abs(z - s.eigenvalue))
         assert s.derivative == pytest.approx(wanted[value], abs=1e-10)
         assert abs(s.derivative - wanted[value]) <= max(s.error, 1e-11)
@@ -71,11 +71,11 @@ def test_a_parameter_that_is_zero_is_moved_upwards_only():
         assert p >= 0.0
         return np.array([[-1.0 + p + p**2, 1.0], [0.0, -2.0 - 3.0 * p]])
 
-    found = sorted(
+    result = sorted(
         eigenvalue_sensitivity(all_modes(A(0.0)), A, 0.0, parameter="D").values(),
         key=lambda s: s.eigenvalue.real,
     )
-    assert [s.derivative for s in found] == [pytest.approx(-3.0, abs=1e-9), pytest.approx(1.0, abs=1e-9)]
+    assert [s.derivative for s in result] == [pytest.approx(-3.0, abs=1e-9), pytest.approx(1.0, abs=1e-9)]
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
@@ -97,14 +97,14 @@ def test_plant_sensitivity_is_the_slope_of_its_eigenvalues(path, cache):
     """Gain, inertia, network, load, set-point: eigenvalues of the whole case at values on both sides."""
     case = load_case(CASE)
     value = parameter_value(case, path)
-    found = parameter_sensitivities(case, [path], cache)[path]
+    result = parameter_sensitivities(case, [path], cache)[path]
 
     def near(p: float, target: complex) -> complex:
         values = np.linalg.eigvals(state_matrix(with_parameter(case, path, p), cache))
         return complex(values[np.argmin(np.abs(values - target))])
 
     h = 4e-3 * value
-    for s in found.values():
+    for s in result.values():
         slopes = [
             (near(value + k, s.eigenvalue) - near(value - k, s.eigenvalue)) / (2 * k) for k in (h, h / 2)
         ]
@@ -123,8 +123,8 @@ def test_a_redispatch_moves_modes_as_the_grid_solved_again_says(cache):
     inter_area = dense["inter-area"]
     near = [z[np.argmin(np.abs(z - inter_area.eigenvalue))] for z in around]
     assert inter_area.derivative == pytest.approx((near[0] - near[1]) / 40.0, rel=2e-3)
-    found = all_modes_of(sparse_linear_plant(case, cache), case.areas, band_hz=(0.3, 2.0), below=0.3).modes
-    sparse = all_mode_sensitivities(case, found, [path], cache)[path]
+    result = all_modes_of(sparse_linear_plant(case, cache), case.areas, band_hz=(0.3, 2.0), below=0.3).modes
+    sparse = all_mode_sensitivities(case, result, [path], cache)[path]
     one = min(sparse.values(), key=lambda s: abs(s.eigenvalue - inter_area.eigenvalue))
     assert one.derivative == pytest.approx(inter_area.derivative, rel=1e-5)
 
@@ -172,15 +172,15 @@ def test_modes_command_prints_shapes_participation_sensitivities_and_writes_plot
         main()
     except SystemExit as stopped:
         main_code = int(stopped.code or 0)
-    found = json.loads(capsys.readouterr().out)
+    document = json.loads(capsys.readouterr().out)
     assert main_code == 0
-    assert found["case"] == f"{CASE}-load-0.95-out-8-9-a"
-    mode = found["modes"]["inter-area"]
+    assert document["case"] == f"{CASE}-load-0.95-out-8-9-a"
+    mode = document["modes"]["inter-area"]
     assert mode["frequency_hz"] == pytest.approx(0.5, abs=0.04)  # one of two circuits out: 0.61 Hz before
     assert len(mode["participation"]) == 2 and all(0 < share < 1 for share in mode["participation"].values())
     angles = {name: row["angle_deg"] for name, row in mode["shape"].items()}
     assert abs(angles["G1"] - angles["G2"]) < 20 and abs(abs(angles["G1"] - angles["G4"]) - 180) < 20
-    assert set(found["sensitivity"]["machines.G1.exciter.KA"]) == set(found["modes"])
+    assert set(document["sensitivity"]["machines.G1.exciter.KA"]) == set(document["modes"])
     assert sorted(file.name for file in tmp_path.iterdir()) == [
         "inter-area.svg",
         "local-area-1.svg",

@@ -77,16 +77,16 @@ def test_the_rival_on_record_is_recomputed_not_believed() -> None:
     whole, cache = load_design("robust"), default_cache()
     hardest = next(p for p in whole.point if p.name == "circuit out, tie +50")
     table = whole.model_copy(update={"point": (hardest,), "fault": None, "acceptance": None})
-    found = worth(table, made, cache)
+    result = worth(table, made, cache)
     weaker = worth(table, made, cache, rival=rival.scaled(0.2))
     # the hardest point for the inter-area mode is the worst of the whole family
     assert made.certificate is not None
-    assert found.adds == pytest.approx(made.certificate["worth"]["adds"], abs=1e-9)
+    assert result.adds == pytest.approx(made.certificate["worth"]["adds"], abs=1e-9)
     assert weaker.rival is not None
-    assert found.rival is not None
-    assert weaker.rival.inter_area < found.rival.inter_area - 0.05
-    assert found.pays is False
-    assert found.sentence.startswith("a local stabilizer does as well: do not build the link from G2")
+    assert result.rival is not None
+    assert weaker.rival.inter_area < result.rival.inter_area - 0.05
+    assert result.pays is False
+    assert result.sentence.startswith("a local stabilizer does as well: do not build the link from G2")
 
 
 @pytest.mark.slow

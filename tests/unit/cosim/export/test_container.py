@@ -100,15 +100,15 @@ def test_container_follows_the_master(name: str, cache: Path, by_hand: Controlle
         "remote_y": "remote.y",
         "G4_vs": "controller.G4_vs",
     }
-    found = simulate(file, 0.01, 3.0, [*names, "remote_valid", "remote_delivered", "remote_dropped"])
+    result = simulate(file, 0.01, 3.0, [*names, "remote_valid", "remote_delivered", "remote_dropped"])
     master = run_scenario(table, cache=cache, controller=by_hand).trajectory
     rows = np.isin(np.round(master.time_s * 1e9), np.arange(0, 3_000_000_001, 10_000_000))
     for ours, column in names.items():
         wanted = np.asarray(master[column])[rows]
         assert np.ptp(wanted) > 0.0
-        assert np.max(np.abs(found[ours] - wanted)) <= TOLERANCE * np.ptp(wanted), ours
+        assert np.max(np.abs(result[ours] - wanted)) <= TOLERANCE * np.ptp(wanted), ours
     for count in ("valid", "delivered", "dropped"):
-        assert np.array_equal(found[f"remote_{count}"], np.asarray(master[f"remote.{count}"])[rows]), count
+        assert np.array_equal(result[f"remote_{count}"], np.asarray(master[f"remote.{count}"])[rows]), count
 
 
 def test_a_guard_that_follows_a_flow_starts_from_the_flow_at_rest(cache: Path, tmp_path: Path) -> None:
@@ -117,10 +117,10 @@ def test_a_guard_that_follows_a_flow_starts_from_the_flow_at_rest(cache: Path, t
     table = scenario(early, latency_s=0.05) | {"controller": "two_actuators", "step_s": 0.0025, "stop_s": 1.5}
     table["channels"] |= {"flow": {"signal": "tie_p", "latency_s": 0.05}}
     file = write_container(load_scenario(table), tmp_path / "loop.fmu", cache=cache)
-    found = simulate(file, 0.0025, 1.5, ["G2_vs", "G4_vs"])
+    result = simulate(file, 0.0025, 1.5, ["G2_vs", "G4_vs"])
     master = run_scenario(table, cache=cache).trajectory
     rows = np.isin(np.round(master.time_s * 1e9), np.arange(0, 1_500_000_001, 2_500_000))
-    for name, ours in found.items():
+    for name, ours in result.items():
         wanted = np.asarray(master[f"controller.{name}"])[rows]
         assert np.max(np.abs(ours - wanted)) <= 1e-4 * np.ptp(wanted)
 
@@ -137,22 +137,22 @@ def test_supervisor_inside_sees_the_flags_when_they_change(
     table = scenario(latency_s=0.05, outages_s=[[1.5, 2.0333]])
     file = write_container(load_scenario(table), tmp_path / "loop.fmu", cache=cache, controller=bank)
     names = ["G2_dw", "G4_vs", "controller_active", "controller_switches"]
-    found = simulate(file, 0.01, 3.0, names)
+    result = simulate(file, 0.01, 3.0, names)
     master = run_scenario(table, cache=cache, controller=bank).trajectory
     rows = np.isin(np.round(master.time_s * 1e9), np.arange(0, 3_000_000_001, 10_000_000))
-    assert set(found["controller_active"]) == {1.0, 2.0}
+    assert set(result["controller_active"]) == {1.0, 2.0}
     for ours, column in (("G2_dw", "plant.G2_dw"), ("G4_vs", "controller.G4_vs")):
         wanted = np.asarray(master[column])[rows]
-        assert np.max(np.abs(found[ours] - wanted)) <= 1e-4 * np.ptp(wanted), ours
+        assert np.max(np.abs(result[ours] - wanted)) <= 1e-4 * np.ptp(wanted), ours
     for ours in ("active", "switches"):
-        assert np.array_equal(found[f"controller_{ours}"], np.asarray(master[f"controller.{ours}"])[rows])
+        assert np.array_equal(result[f"controller_{ours}"], np.asarray(master[f"controller.{ours}"])[rows])
 
 
 def test_latency_is_exact_inside(container: Path) -> None:
     """What comes out of the channel is what went in 0.1 s earlier: not held, not a step late."""
-    found = simulate(container, 0.01, 3.0, ["G2_dw", "remote_y"])
-    error = np.abs(found["remote_y"][10:] - found["G2_dw"][:-10])
-    assert np.max(error) <= 1e-12 * np.ptp(found["G2_dw"])
+    result = simulate(container, 0.01, 3.0, ["G2_dw", "remote_y"])
+    error = np.abs(result["remote_y"][10:] - result["G2_dw"][:-10])
+    assert np.max(error) <= 1e-12 * np.ptp(result["G2_dw"])
 
 
 @pytest.mark.parametrize("step_s", [0.02, 0.1, 1.0])

@@ -62,9 +62,9 @@ def test_a_machine_that_needs_too_much_phase_gets_none(weak: WeakModes) -> None:
     mode = weak.weakest
     washed = mode.eigenvalue * 10.0 / (1.0 + mode.eigenvalue * 10.0)
     with_phase = [-np.exp(-1j * np.radians(deg)) / washed for deg in (100.0, 149.0, 155.0, 180.0)]
-    found = [tuned_for(mode, "G1", residue) for residue in with_phase]
-    assert [None if one is None else one.stages for one in found] == [2, 3, None, None]
-    one = found[0]
+    result = [tuned_for(mode, "G1", residue) for residue in with_phase]
+    assert [None if one is None else one.stages for one in result] == [2, 3, None, None]
+    one = result[0]
     assert one is not None
     assert with_phase[0] * one.response(mode.eigenvalue) == pytest.approx(-abs(mode.eigenvalue), rel=1e-4)
 

@@ -109,7 +109,7 @@ def test_other_modes_keep_their_damping_where_the_target_is_reached(
     proposal: Proposal, weak: WeakModes
 ) -> None:
     at, value = np.array(proposal.table.offset).T
-    locals_ = [m for m in weak.found.modes if m.name.startswith("local")]
+    locals_ = [m for m in weak.all_modes.modes if m.name.startswith("local")]
     assert locals_ and not weak.others  # none is weak: .25 is counted on, .3 being more than enough
     for mode in locals_:
         allowed = 0.25 + np.interp(abs(mode.eigenvalue.imag), at, value)

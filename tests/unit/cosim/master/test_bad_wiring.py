@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from whims import whims_fmu
+from misbehaving import misbehaving_fmu
 
 from interarea.cosim.errors import GraphError, ScenarioError, StepError
 from interarea.cosim.run.run import run_system
@@ -21,12 +21,14 @@ ENGINES = ("kernel", "python")
 
 
 @pytest.fixture(scope="module")
-def whims(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return whims_fmu(tmp_path_factory.mktemp("whims"))
+def misbehaving(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return misbehaving_fmu(tmp_path_factory.mktemp("misbehaving"))
 
 
-def pair(whims: Path, **options: Any) -> System:
-    return System(stop_s=1.0, step_s=0.1, **options).fmu("first", whims, u=1.0).fmu("second", whims)
+def pair(misbehaving: Path, **options: Any) -> System:
+    return (
+        System(stop_s=1.0, step_s=0.1, **options).fmu("first", misbehaving, u=1.0).fmu("second", misbehaving)
+    )
 
 
 @pytest.mark.parametrize(
@@ -45,26 +47,26 @@ def pair(whims: Path, **options: Any) -> System:
         ([("first.y", "second.x0")], r"second has no input 'x0'"),
     ],
 )
-def test_wrong_ends(whims: Path, tmp_path: Path, wires: list[tuple[str, str]], says: str) -> None:
-    system = pair(whims)
+def test_wrong_ends(misbehaving: Path, tmp_path: Path, wires: list[tuple[str, str]], says: str) -> None:
+    system = pair(misbehaving)
     for wire in wires:
         system.connect(*wire)
     with pytest.raises(GraphError, match=says):
         system.master()
-    fmus = {name: {"file": str(whims)} for name in ("first", "second")}
+    fmus = {name: {"file": str(misbehaving)} for name in ("first", "second")}
     with pytest.raises(GraphError, match=says):  # and from a scenario
         run_system({"stop_s": 1.0, "fmus": fmus, "connections": [list(w) for w in wires]})
 
 
-def test_an_input_left_unconnected_keeps_its_start_value_and_is_reported(whims: Path) -> None:
-    result = System(stop_s=1.0, step_s=0.1).fmu("alone", whims, x0=2.0).run()
+def test_an_input_left_unconnected_keeps_its_start_value_and_is_reported(misbehaving: Path) -> None:
+    result = System(stop_s=1.0, step_s=0.1).fmu("alone", misbehaving, x0=2.0).run()
     assert "not connected: alone.u keeps its start value 0" in result.explain()
     np.testing.assert_array_equal(result["alone.y"], 2.0)
 
 
 def test_compatible_units_are_converted(tmp_path: Path) -> None:
     """The plant's angle in rad arrives in degrees: the integral of a constant, 180/pi times as large."""
-    degrees = whims_fmu(tmp_path, unit="deg")
+    degrees = misbehaving_fmu(tmp_path, unit="deg")
     system = System(stop_s=0.5, step_s=0.1).plant("two-area-thesis").fmu("x", degrees)
     result = system.connect("plant.G1_delta", "x.u").run()
     exact = 0.5 * np.degrees(result["plant.G1_delta"][0])
@@ -72,7 +74,7 @@ def test_compatible_units_are_converted(tmp_path: Path) -> None:
 
 
 def test_a_unit_that_nobody_defines_is_a_name_and_told(tmp_path: Path) -> None:
-    odd = whims_fmu(tmp_path, unit="furlong")
+    odd = misbehaving_fmu(tmp_path, unit="furlong")
     (line,) = System(stop_s=0.1).fmu("x", odd).run().warnings
     assert re.search(r'variable "u" .*the unit "furlong" is not defined', line)
     with pytest.raises(FmuFileError, match='"furlong" is not defined'):
@@ -106,20 +108,20 @@ def changed(path: Path, to: Path, old: str, new: str, *, platform: str | None = 
         ('causality="output"', 'causality="outcome"', "breaks the standard"),
     ],
 )
-def test_other_standards(whims: Path, tmp_path: Path, old: str, new: str, says: str) -> None:
+def test_other_standards(misbehaving: Path, tmp_path: Path, old: str, new: str, says: str) -> None:
     with pytest.raises(FmuFileError, match=says):
-        FmuFile(changed(whims, tmp_path / "odd.fmu", old, new))
+        FmuFile(changed(misbehaving, tmp_path / "odd.fmu", old, new))
 
 
-def test_another_platform(whims: Path, tmp_path: Path) -> None:
+def test_another_platform(misbehaving: Path, tmp_path: Path) -> None:
     with pytest.raises(FmuFileError, match=r"has no binary for this platform \(\w+\); it has amiga68"):
-        FmuFile(changed(whims, tmp_path / "odd.fmu", "", "", platform="amiga68"))
+        FmuFile(changed(misbehaving, tmp_path / "odd.fmu", "", "", platform="amiga68"))
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_an_output_that_turns_nan_stops_the_run_there(whims: Path, engine: str) -> None:
-    system = pair(whims, engine=engine).fmu("bad", whims, nan_at=0.45).connect("first.y", "bad.u")
-    system.fmu("sink", whims).connect("bad.y", "sink.u")
+def test_an_output_that_turns_nan_stops_the_run_there(misbehaving: Path, engine: str) -> None:
+    system = pair(misbehaving, engine=engine).fmu("bad", misbehaving, nan_at=0.45).connect("first.y", "bad.u")
+    system.fmu("sink", misbehaving).connect("bad.y", "sink.u")
     with pytest.raises(StepError, match=r"bad: reading outputs at t = 0\.5 s: output y is nan") as caught:
         system.run()
     run = caught.value.trajectory
@@ -127,13 +129,15 @@ def test_an_output_that_turns_nan_stops_the_run_there(whims: Path, engine: str) 
     np.testing.assert_allclose(run["bad.y"], run.time_s**2 / 2, rtol=1e-12)
 
 
-def test_nan_that_nobody_takes_is_told_once(whims: Path) -> None:
+def test_nan_that_nobody_takes_is_told_once(misbehaving: Path) -> None:
     """The run goes on to its end, with the same bits whoever steps."""
-    found = []
+    result = []
     for engine in ENGINES:
-        system = pair(whims, engine=engine).fmu("bad", whims, nan_at=0.45).connect("first.y", "bad.u")
-        found.append(system.run())
-    a, b = found
+        system = (
+            pair(misbehaving, engine=engine).fmu("bad", misbehaving, nan_at=0.45).connect("first.y", "bad.u")
+        )
+        result.append(system.run())
+    a, b = result
     (line,) = a.warnings
     assert b.warnings == (line,) and line in a.explain()
     assert line == "bad.y is nan at 6 of 11 points, first at t = 0.5 s; nothing is connected to it"
@@ -142,18 +146,18 @@ def test_nan_that_nobody_takes_is_told_once(whims: Path) -> None:
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_time_does_not_go_backwards(whims: Path, engine: str) -> None:
-    with pair(whims, engine=engine).master() as master:
+def test_time_does_not_go_backwards(misbehaving: Path, engine: str) -> None:
+    with pair(misbehaving, engine=engine).master() as master:
         master.run(until_s=0.5)
         with pytest.raises(ScenarioError, match=r"until_s = 0\.3: time does not go backwards from 0\.5 s"):
             master.run(until_s=0.3)
         assert master.run().time_s[-1] == 1.0
     with pytest.raises(ScenarioError, match="must lie after the start"):
-        System(stop_s=1.0, start_s=2.0).fmu("a", whims).master()
+        System(stop_s=1.0, start_s=2.0).fmu("a", misbehaving).master()
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_an_fmu_whose_time_goes_backwards_is_named(whims: Path, engine: str) -> None:
-    system = System(stop_s=1.0, step_s=0.1, engine=engine).fmu("back", whims, back_at=0.25)
+def test_an_fmu_whose_time_goes_backwards_is_named(misbehaving: Path, engine: str) -> None:
+    system = System(stop_s=1.0, step_s=0.1, engine=engine).fmu("back", misbehaving, back_at=0.25)
     with pytest.raises(StepError, match=r"back: fmi2DoStep at t = 0\.2 s: .* names t = -0\.8 s"):
         system.run()

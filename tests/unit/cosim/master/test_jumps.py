@@ -54,10 +54,10 @@ def test_the_slope_of_a_reader_does_not_hold_the_jump(inputs: str) -> None:
     sum_ = Linear("sum", 0 * ONE, ONE, ONE, 0 * ONE, ["u"], ["y"])
     wires = [("sampler.y", "gain.u"), ("gain.y", "sum.u")]
     with Master(
-        LoopPlan(wires, stop_s=2.0, step_s=0.01, marks_s=[1.0], inputs=inputs), [step, gain, sum_]
+        LoopPlan(wires, stop_s=2.0, step_s=0.01, event_times_s=[1.0], inputs=inputs), [step, gain, sum_]
     ) as master:
-        found = master.run()
-    error = found.data["sum.y"].to_numpy() - 2.0 * np.maximum(found.time_s - 1.0, 0.0)
+        result = master.run()
+    error = result.data["sum.y"].to_numpy() - 2.0 * np.maximum(result.time_s - 1.0, 0.0)
     assert np.abs(error).max() <= 1e-8  # 2e-9 s is the tick in which it jumps; 16668 with a line across it
 
 

@@ -121,7 +121,12 @@ def test_any_order_of_declaration_gives_the_same_bits(cache: Path, by_hand: Cont
         latency = master.plan.latency_s
     for _ in range(2):
         parts, wires = parts[::-1], wires[1:] + wires[:1]
-        options: dict[str, Any] = {"stop_s": 2.0, "step_s": 0.01, "marks_s": [0.7, 0.5], "latency_s": latency}
+        options: dict[str, Any] = {
+            "stop_s": 2.0,
+            "step_s": 0.01,
+            "event_times_s": [0.7, 0.5],
+            "latency_s": latency,
+        }
         options["at_rest"] = True
         with Master(LoopPlan(wires, engine="kernel", **options), parts) as again:
             assert again.run().data.equals(first)
@@ -160,7 +165,7 @@ def test_integers_and_reals_of_a_kicked_decay(cache: Path) -> None:
     """Its state jumps at 0.55 s: the Integer output counts it, the Real shows it."""
     file = FmuFile(block_fmu(decay_block(), cache))
     parts = [FmuParticipant("a", file, {"kicking": True}), FmuParticipant("b", file)]
-    with Master(LoopPlan([("a.y", "b.u")], stop_s=2.0, step_s=0.1, marks_s=[0.55]), parts) as master:
+    with Master(LoopPlan([("a.y", "b.u")], stop_s=2.0, step_s=0.1, event_times_s=[0.55]), parts) as master:
         fast = master.run()
         master.engine = "python"
         master.start()
@@ -187,7 +192,7 @@ def mixed(foreign: dict[str, FmuFile], **start: float) -> Master:
     parts.append(FmuParticipant("sink", foreign["lag"]))
     wires = [("a.y", "b.u"), ("b.y", "a.u"), ("g.last", "h.u"), ("g.even", "h.open"), ("g.total", "h.add")]
     wires.append(("h.y", "sink.u"))
-    return Master(LoopPlan(wires, stop_s=2.0, step_s=0.1, marks_s=[0.55]), parts)
+    return Master(LoopPlan(wires, stop_s=2.0, step_s=0.1, event_times_s=[0.55]), parts)
 
 
 def test_foreign_fmus_with_values_of_every_type(foreign: dict[str, FmuFile]) -> None:

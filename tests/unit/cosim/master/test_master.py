@@ -59,7 +59,7 @@ def loop(
     turn = options.pop("turn", 0)
     parts, wires = parts[turn:] + parts[:turn], wires[turn:] + wires[:turn]
     return Master(
-        LoopPlan(wires, stop_s=STOP, step_s=step_s, marks_s=PULSE, latency_s=latency, **options), parts
+        LoopPlan(wires, stop_s=STOP, step_s=step_s, event_times_s=PULSE, latency_s=latency, **options), parts
     )
 
 
@@ -220,7 +220,7 @@ def test_steps_of_one_length_refuse_events_off_the_grid() -> None:
     rigid = gain("a", 0.0)
     rigid.description = rigid.description.__class__(**{**vars(rigid.description), "variable_step": False})
     with pytest.raises(GraphError, match=r"use 0\.01 or 0\.02"):
-        Master(LoopPlan([], stop_s=1.0, step_s=0.01, marks_s=[0.015]), [rigid])
+        Master(LoopPlan([], stop_s=1.0, step_s=0.01, event_times_s=[0.015]), [rigid])
 
 
 @pytest.mark.parametrize("latency", [0.05, 0.0537])
@@ -258,6 +258,7 @@ def test_a_jump_inside_a_channel_reaches_the_loop_at_its_instant() -> None:
     cut = Delay("cut", 0.05, zero_from=0.5)
     wires = list(itertools.chain([("ramp.y", "cut.u"), ("cut.y", "sum.u")]))
     run = Master(
-        LoopPlan(wires, stop_s=1.0, step_s=0.01, marks_s=[0.5], latency_s={"cut": 0.05}), [ramp, total, cut]
+        LoopPlan(wires, stop_s=1.0, step_s=0.01, event_times_s=[0.5], latency_s={"cut": 0.05}),
+        [ramp, total, cut],
     ).run()
     assert run["sum.y"][-1] == pytest.approx(0.5, abs=2e-9)  # a tick of 1 ns

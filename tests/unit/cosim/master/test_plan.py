@@ -19,8 +19,8 @@ WIRES = [("b.y", "a.u"), ("a.y", "b.u")]
 
 
 def test_order_and_kind_of_what_is_given_do_not_matter() -> None:
-    plan = LoopPlan(WIRES, stop_s=1.0, marks_s=[0.5], latency_s={"a": 0.1})
-    assert plan == LoopPlan(reversed(WIRES), stop_s=1.0, marks_s=(0.5,), latency_s={"a": 0.1})
+    plan = LoopPlan(WIRES, stop_s=1.0, event_times_s=[0.5], latency_s={"a": 0.1})
+    assert plan == LoopPlan(reversed(WIRES), stop_s=1.0, event_times_s=(0.5,), latency_s={"a": 0.1})
     assert plan == pickle.loads(pickle.dumps(plan))
     assert plan != dataclasses.replace(plan, latency_s={"a": 0.2})
 
@@ -54,7 +54,7 @@ def test_the_plan_of_a_scenario_says_what_its_master_steps() -> None:
     scenario = load_scenario("lost-signal")
     system = system_of(scenario)
     plan = system.plan
-    assert (plan.stop_s, plan.step_s, plan.marks_s) == (20.0, 0.01, system.marks_s)
+    assert (plan.stop_s, plan.step_s, plan.event_times_s) == (20.0, 0.01, system.event_times_s)
     with system.master() as master:
         assert master.plan == plan == system_of(scenario).plan
         assert {(str(c.source), str(c.target)) for c in master.graph.connections} == set(plan.connections)

@@ -26,11 +26,11 @@ def power_after(plant: FmuParticipant, step_s: float, steps: int) -> float:
 
 @pytest.fixture
 def plant(cache: Path) -> Iterator[FmuParticipant]:
-    found = FmuParticipant("plant", FmuFile(plant_fmu(load_case("two-area-thesis"), cache)))
-    found.begin(0.0, 10.0)
-    found.ready()
-    yield found
-    found.close()
+    result = FmuParticipant("plant", FmuFile(plant_fmu(load_case("two-area-thesis"), cache)))
+    result.begin(0.0, 10.0)
+    result.ready()
+    yield result
+    result.close()
 
 
 def test_a_fault_that_is_scheduled_while_the_plant_runs_happens(plant: FmuParticipant) -> None:

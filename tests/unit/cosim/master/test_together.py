@@ -95,10 +95,10 @@ def side_by_side(
 
 def bits(master: Master) -> tuple[str, int]:
     """Every recorded number of a run, as one hash; how often loops were iterated."""
-    found = hashlib.sha256()
+    result = hashlib.sha256()
     for column, values in master.trajectory.data.items():
-        found.update(column.encode() + values.to_numpy().tobytes())
-    return found.hexdigest(), master.repeated
+        result.update(column.encode() + values.to_numpy().tobytes())
+    return result.hexdigest(), master.repeated
 
 
 @pytest.fixture(scope="module")
@@ -109,12 +109,12 @@ def library(cache: Path) -> GroupLibrary:
 @pytest.fixture(scope="module")
 def alone(cache: Path, by_hand: Controller) -> list[tuple[str, int]]:
     """Each of RUNS by itself, with the FMU's own binary."""
-    found = []
+    result = []
     for changes in RUNS:
         with loop_of(changes, cache, by_hand) as loop:
             loop.master.advance()
-            found.append(bits(loop.master))
-    return found
+            result.append(bits(loop.master))
+    return result
 
 
 @pytest.fixture
@@ -133,21 +133,21 @@ def test_runs_side_by_side_have_the_bits_of_each_alone(
         pytest.skip(f"this processor has {library.lanes} lanes")
     narrow = GroupLibrary(library.path)
     narrow.lanes = lanes
-    with side_by_side(RUNS, cache, by_hand, narrow) as found:
-        assert advance_together(found) == [None] * len(RUNS)
-        assert [bits(m) for m in found] == alone
-        assert {m.ran for m in found} == {"kernel"}
+    with side_by_side(RUNS, cache, by_hand, narrow) as result:
+        assert advance_together(result) == [None] * len(RUNS)
+        assert [bits(m) for m in result] == alone
+        assert {m.ran for m in result} == {"kernel"}
 
 
 @pytest.mark.parametrize("chosen", [[0], [6, 3, 0], [9, 8, 7, 2, 5], [1, 1, 1, 2, 0, 5, 10]])
 def test_any_company_gives_the_same_bits(
     chosen: list[int], cache: Path, by_hand: Controller, library: GroupLibrary, alone: list[Any]
 ) -> None:
-    with side_by_side((RUNS[k] for k in chosen), cache, by_hand, library) as found:
+    with side_by_side((RUNS[k] for k in chosen), cache, by_hand, library) as result:
         for _ in range(2):  # the second time on instances that were reset
-            assert advance_together(found) == [None] * len(chosen)
-            assert [bits(m) for m in found] == [alone[k] for k in chosen]
-            for master in found:
+            assert advance_together(result) == [None] * len(chosen)
+            assert [bits(m) for m in result] == [alone[k] for k in chosen]
+            for master in result:
                 master.start()
 
 
@@ -255,16 +255,16 @@ def test_plants_with_ports_have_the_bits_of_each_alone(
 ) -> None:
     """Constant current and saturation: what ports keep goes from lanes to instances and back."""
     chosen = [RUNS[k] | {"case": "kundur-thyristor"} for k in (0, 2, 3, 5, 6)]
-    found = []
+    result = []
     for changes in chosen:
         with loop_of(changes, cache, by_hand) as loop:
             loop.master.advance()
-            found.append(bits(loop.master))
+            result.append(bits(loop.master))
     with side_by_side(chosen, cache, by_hand, library) as masters:
         assert advance_together(masters) == [None] * len(chosen)
         component = masters[0].participants["plant"].component  # type: ignore[attr-defined]
         assert library.work(component, 4) is not None
-        assert [bits(m) for m in masters] == found
+        assert [bits(m) for m in masters] == result
 
 
 def test_locals_read_after_a_group_step_are_those_of_the_step(
@@ -277,5 +277,5 @@ def test_locals_read_after_a_group_step_are_those_of_the_step(
         assert advance_together(masters) == [None, None]
         loop.master.advance()
         plants: list[Any] = [m.participants["plant"] for m in (masters[0], loop.master)]
-        found, wanted = ([plant.value_of(name) for name in names] for plant in plants)
-        np.testing.assert_array_equal(found, wanted)
+        result, wanted = ([plant.value_of(name) for name in names] for plant in plants)
+        np.testing.assert_array_equal(result, wanted)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from whims import whims_fmu
+from misbehaving import misbehaving_fmu
 
 from interarea.cosim.errors import GraphError, ScenarioError, StepError
 from interarea.cosim.master.isolated import WorkerParticipant
@@ -18,27 +18,29 @@ from interarea.cosim.scenario.scenario import load_scenario
 
 
 @pytest.fixture(scope="module")
-def whims(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return whims_fmu(tmp_path_factory.mktemp("whims"))
+def misbehaving(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return misbehaving_fmu(tmp_path_factory.mktemp("misbehaving"))
 
 
-def ring(whims: Path, isolated: str) -> System:
+def ring(misbehaving: Path, isolated: str) -> System:
     """dx/dt = y, dy/dt = x with x(0) = 1, y(0) = 0, iterated: states are saved in the worker too."""
     system = System(stop_s=1.0, step_s=0.1)
-    system.fmu("x", whims, x0=1.0, isolate="x" in isolated).fmu("y", whims, isolate="y" in isolated)
+    system.fmu("x", misbehaving, x0=1.0, isolate="x" in isolated).fmu(
+        "y", misbehaving, isolate="y" in isolated
+    )
     return system.connect("x.y", "y.u").connect("y.y", "x.u")
 
 
 @pytest.mark.parametrize("isolated", ["x"])
-def test_isolated_or_not_the_bits_are_the_same(whims: Path, isolated: str) -> None:
-    here, there = ring(whims, "").run(), ring(whims, isolated).run()
+def test_isolated_or_not_the_bits_are_the_same(misbehaving: Path, isolated: str) -> None:
+    here, there = ring(misbehaving, "").run(), ring(misbehaving, isolated).run()
     assert there.data.equals(here.data)
     np.testing.assert_allclose(there["x.y"], np.cosh(there["time_s"]), rtol=1e-6)
 
 
-def test_an_fmu_that_aborts_fails_the_run_and_the_caller_lives(whims: Path) -> None:
-    system = System(stop_s=1.0, step_s=0.1).fmu("x", whims, u=1.0)
-    system.fmu("bad", whims, isolate=True, abort_at=0.45).connect("x.y", "bad.u")
+def test_an_fmu_that_aborts_fails_the_run_and_the_caller_lives(misbehaving: Path) -> None:
+    system = System(stop_s=1.0, step_s=0.1).fmu("x", misbehaving, u=1.0)
+    system.fmu("bad", misbehaving, isolate=True, abort_at=0.45).connect("x.y", "bad.u")
     with pytest.raises(
         StepError, match=r"bad: fmi2DoStep at t = 0\.4 s: the FMU crashed its process"
     ) as caught:
@@ -51,8 +53,8 @@ def test_an_fmu_that_aborts_fails_the_run_and_the_caller_lives(whims: Path) -> N
     np.testing.assert_allclose(run["bad.y"], run.time_s**2 / 2, rtol=1e-12)
 
 
-def test_a_crashed_worker_is_started_again_for_another_run(whims: Path) -> None:
-    system = System(stop_s=1.0, step_s=0.1).fmu("bad", whims, isolate=True, u=1.0, abort_at=0.45)
+def test_a_crashed_worker_is_started_again_for_another_run(misbehaving: Path) -> None:
+    system = System(stop_s=1.0, step_s=0.1).fmu("bad", misbehaving, isolate=True, u=1.0, abort_at=0.45)
     with system.master() as master:
         with pytest.raises(StepError, match="crashed its process"):
             master.run()
@@ -64,8 +66,8 @@ def test_a_crashed_worker_is_started_again_for_another_run(whims: Path) -> None:
     np.testing.assert_allclose(run["bad.y"], run.time_s, rtol=1e-12)
 
 
-def test_errors_of_the_fmu_travel_with_all_they_say(whims: Path) -> None:
-    system = System(stop_s=1.0, step_s=0.1).fmu("a", whims, isolate=True, u=1.0, end_at=0.55)
+def test_errors_of_the_fmu_travel_with_all_they_say(misbehaving: Path) -> None:
+    system = System(stop_s=1.0, step_s=0.1).fmu("a", misbehaving, isolate=True, u=1.0, end_at=0.55)
     with pytest.raises(
         StepError, match=r"a: fmi2DoStep at t = 0\.5 s: asks for the simulation to end"
     ) as caught:
@@ -75,19 +77,19 @@ def test_errors_of_the_fmu_travel_with_all_they_say(whims: Path) -> None:
 
 
 @pytest.mark.parametrize("early", ["continue", "roll back"])
-def test_early_returns_of_an_isolated_fmu(whims: Path, early: str) -> None:
+def test_early_returns_of_an_isolated_fmu(misbehaving: Path, early: str) -> None:
     runs = []
     for isolate in (False, True):
         system = System(stop_s=1.0, step_s=0.1, early=early)
-        system.fmu("a", whims, isolate=isolate, u=1.0, early_at=0.4321, kick=0.5)
+        system.fmu("a", misbehaving, isolate=isolate, u=1.0, early_at=0.4321, kick=0.5)
         runs.append(system.run().data)
     assert runs[0].equals(runs[1])
     assert runs[0]["a.y"].iloc[-1] == pytest.approx(1.5, rel=1e-12)
 
 
-def test_an_fmu_that_hangs_is_ended_and_may_run_again(whims: Path) -> None:
+def test_an_fmu_that_hangs_is_ended_and_may_run_again(misbehaving: Path) -> None:
     system = System(stop_s=1.0, step_s=0.1)
-    system.fmu("stuck", whims, isolate=True, time_limit_s=1.0, u=1.0, hang_at=0.45)
+    system.fmu("stuck", misbehaving, isolate=True, time_limit_s=1.0, u=1.0, hang_at=0.45)
     with system.master() as master:
         with pytest.raises(
             StepError,
@@ -103,18 +105,18 @@ def test_an_fmu_that_hangs_is_ended_and_may_run_again(whims: Path) -> None:
         np.testing.assert_allclose(master.run()["stuck.y"][-1], 1.0, rtol=1e-12)
 
 
-def test_a_time_limit_needs_a_process_and_is_positive(whims: Path) -> None:
+def test_a_time_limit_needs_a_process_and_is_positive(misbehaving: Path) -> None:
     system = System(stop_s=1.0, step_s=0.1)
     with pytest.raises(ScenarioError, match="set isolate = true"):
-        system.fmu("a", whims, time_limit_s=1.0)
+        system.fmu("a", misbehaving, time_limit_s=1.0)
     with pytest.raises(ScenarioError, match="time_limit_s = -1, allowed: above 0"):
-        system.fmu("a", whims, isolate=True, time_limit_s=-1.0)
+        system.fmu("a", misbehaving, isolate=True, time_limit_s=-1.0)
     with pytest.raises(ScenarioError, match=r"fmus\.a.*set isolate = true"):
-        load_scenario({"stop_s": 1.0, "fmus": {"a": {"file": str(whims), "time_limit_s": 1.0}}})
+        load_scenario({"stop_s": 1.0, "fmus": {"a": {"file": str(misbehaving), "time_limit_s": 1.0}}})
 
 
-def test_values_can_be_read_and_no_process_is_left(whims: Path) -> None:
-    system = System(stop_s=1.0, step_s=0.1).fmu("a", whims, isolate=True, u=1.0)
+def test_values_can_be_read_and_no_process_is_left(misbehaving: Path) -> None:
+    system = System(stop_s=1.0, step_s=0.1).fmu("a", misbehaving, isolate=True, u=1.0)
     with system.master() as master:
         part = master.participants["a"]
         assert isinstance(part, WorkerParticipant)
@@ -129,9 +131,9 @@ def test_values_can_be_read_and_no_process_is_left(whims: Path) -> None:
         part.value_of("u")
 
 
-def test_a_scenario_file_isolates(whims: Path, tmp_path: Path) -> None:
+def test_a_scenario_file_isolates(misbehaving: Path, tmp_path: Path) -> None:
     file = tmp_path / "crash.toml"
-    text = f'stop_s = 1.0\nstep_s = 0.1\n[fmus.bad]\nfile = "{whims.as_posix()}"\nisolate = true\n'
+    text = f'stop_s = 1.0\nstep_s = 0.1\n[fmus.bad]\nfile = "{misbehaving.as_posix()}"\nisolate = true\n'
     file.write_text(text + "start = {u = 1.0, abort_at = 0.75}\n", encoding="utf-8")
     with pytest.raises(StepError, match=r"bad: fmi2DoStep at t = 0\.7 s: the FMU crashed its process"):
         run_system(file)

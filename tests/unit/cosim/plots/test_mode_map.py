@@ -37,13 +37,13 @@ def north() -> Case:
 
 def arrows(figure) -> dict[tuple[float, float], complex]:  # type: ignore[no-untyped-def]
     """Place -> arrow over the longest, of all machines that move."""
-    found = {}
+    result = {}
     for drawn in figure.axes[0].collections:
         if isinstance(drawn, Quiver):
             for (x, y), u, v in zip(drawn.get_offsets(), drawn.U, drawn.V, strict=True):
-                found[float(x), float(y)] = complex(u, v)
-    longest = max(abs(z) for z in found.values())
-    return {place: z / longest for place, z in found.items()}
+                result[float(x), float(y)] = complex(u, v)
+    longest = max(abs(z) for z in result.values())
+    return {place: z / longest for place, z in result.items()}
 
 
 @pytest.mark.parametrize("turn", [1.0, cmath.exp(2.1j), -3.0])
@@ -51,10 +51,10 @@ def test_arrows_are_the_shape_at_the_machines_places(north: Case, turn: complex)
     """An eigenvector has no phase and no size of its own: turned and scaled, the map stays."""
     places = places_of(north)
     shape = {name: z * turn for name, z in SHAPE.items()}
-    found = arrows(mode_map(shape, north, places, "shape"))
+    result = arrows(mode_map(shape, north, places, "shape"))
     wanted = {places[m.bus]: SHAPE[m.name] for m in north.machines if m.name != "G4"}  # a dot
-    assert found.keys() == wanted.keys()
-    assert all(abs(found[at] - wanted[at]) < 1e-12 for at in wanted)
+    assert result.keys() == wanted.keys()
+    assert all(abs(result[at] - wanted[at]) < 1e-12 for at in wanted)
 
 
 def test_a_degree_of_longitude_is_drawn_as_long_as_it_is(north: Case) -> None:
@@ -104,10 +104,12 @@ def test_the_command_draws_every_mode_dense_and_sparse(tmp_path, interarea, nort
     export_toml(north, grid)
     code, out, _ = interarea("modes", str(grid), *band, "--plot", str(folder), "--json")
     assert code == 0
-    found = json.loads(out)
-    modes = found["modes"] if isinstance(found["modes"], dict) else [m["name"] for m in found["modes"]]
+    document = json.loads(out)
+    modes = (
+        document["modes"] if isinstance(document["modes"], dict) else [m["name"] for m in document["modes"]]
+    )
     assert [f"{name.replace(' ', '-')}.svg" for name in modes] == [
-        p.rsplit("/", 1)[-1] for p in found["plots"]
+        p.rsplit("/", 1)[-1] for p in document["plots"]
     ]
     assert all(file.read_text().count("<g ") > 10 for file in folder.iterdir())
-    assert sorted(map(str, folder.iterdir())) == sorted(found["plots"])
+    assert sorted(map(str, folder.iterdir())) == sorted(document["plots"])

@@ -43,9 +43,9 @@ ENDS = {
 
 def test_slopes_are_those_of_the_closed_form() -> None:
     """Of P = Re(p e^jwt) and angle = Re(th e^jwt) the mean of P d(angle)/dt is Re(p conj(jw th)) / 2."""
-    found = located(phasors(ENDS))
-    assert found.frequency_hz == pytest.approx(F, abs=0.005)
-    for flow in found.flows:
+    result = located(phasors(ENDS))
+    assert result.frequency_hz == pytest.approx(F, abs=0.005)
+    for flow in result.flows:
         p, theta = ENDS[flow.terminal]
         power = 0.5 * np.real(p * np.conj(1j * 2 * np.pi * F * theta))
         assert flow.slope == pytest.approx(power, rel=0.01)
@@ -55,25 +55,25 @@ def test_slopes_are_those_of_the_closed_form() -> None:
 
 
 def test_the_terminal_where_energy_comes_in_is_named_and_the_ends_of_a_line_agree() -> None:
-    found = located(phasors(ENDS))
-    assert found.source == "Sub:1:Ln:1-2"
-    ((a, b, apart),) = found.lines
+    result = located(phasors(ENDS))
+    assert result.source == "Sub:1:Ln:1-2"
+    ((a, b, apart),) = result.lines
     assert {a, b} == {"Sub:1:Ln:1-2", "Sub:2:Ln:1-2"}
     assert apart < 0.01
 
 
 def test_no_source_is_named_where_the_checks_fail() -> None:
     spoiled = {**ENDS, "Sub:2:Ln:1-2": (2.0j, 0.01 + 0.0j)}  # a wrong current transformer
-    found = located(phasors(spoiled))
-    assert found.source == ""
-    assert "disagree by" in found.why
+    result = located(phasors(spoiled))
+    assert result.source == ""
+    assert "disagree by" in result.why
     twins = {"A": (-5.0j, 0.01 + 0j), "B": (-4.5j, 0.01 + 0j), "C": (9.0j, 0.01 + 0j)}
-    found = located(phasors(twins))
-    assert found.source == ""
-    assert "too alike" in found.why
-    found = located(phasors({"C": twins["C"]}))
-    assert found.source == ""
-    assert "outside what is observed" in found.why
+    result = located(phasors(twins))
+    assert result.source == ""
+    assert "too similar" in result.why
+    result = located(phasors({"C": twins["C"]}))
+    assert result.source == ""
+    assert "outside what is observed" in result.why
 
 
 @pytest.mark.slow
@@ -97,9 +97,9 @@ def test_the_machine_whose_turbine_swings_is_found_in_a_run(machine: str) -> Non
     case = ia.load_case("kundur-manual")
     at = {m.name: f"bus{m.bus}" for m in case.machines}
     at |= {f"branch[{b.name}]": f"bus{b.from_bus}" for b in case.branches}
-    found = located(record, at=at)
-    assert found.frequency_hz == pytest.approx(f, abs=0.01)
-    assert found.source == machine
+    result = located(record, at=at)
+    assert result.frequency_hz == pytest.approx(f, abs=0.01)
+    assert result.source == machine
 
 
 def test_records_that_cannot_be_located_are_refused_with_what_would_do() -> None:
@@ -162,7 +162,7 @@ def test_twenty_seconds_of_the_public_event_name_one_terminal(start_s: float) ->
     frame.attrs["units"] = {c: unit for c, _, _, unit in columns}
     frame.attrs["quantity"] = {c: quantity[kind] for c, _, kind, _ in columns}
     frame.attrs["terminal"] = {c: place for c, place, _, _ in columns}
-    found = located(ia.read_record(frame, window_s=(start_s, start_s + 20.0)))
-    assert found.frequency_hz == pytest.approx(1.14, abs=0.03)
-    assert found.source == "Sub:2:Ln:2"
-    assert all(apart < 0.025 for *_, apart in found.lines)
+    result = located(ia.read_record(frame, window_s=(start_s, start_s + 20.0)))
+    assert result.frequency_hz == pytest.approx(1.14, abs=0.03)
+    assert result.source == "Sub:2:Ln:2"
+    assert all(apart < 0.025 for *_, apart in result.lines)

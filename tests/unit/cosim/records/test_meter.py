@@ -73,9 +73,9 @@ def exact() -> tuple[float, float]:
 def test_ten_minutes_of_ambient_motion_give_the_damping_by_two_methods() -> None:
     modes = list(ia.modes(CASE).values())
     assert exact() == pytest.approx((Z, F), abs=1e-4)
-    found = meter(ambient(1, 600.0), modes=modes)
-    assert found.kind == "ambient"
-    swing = next(s for s in found.swings if abs(s.frequency_hz - F) < 0.02)
+    result = meter(ambient(1, 600.0), modes=modes)
+    assert result.kind == "ambient"
+    swing = next(s for s in result.swings if abs(s.frequency_hz - F) < 0.02)
     assert swing.kind == "modal"
     assert swing.mode == "inter-area"
     assert len({e.method for e in swing.estimates}) == 2
@@ -88,16 +88,16 @@ def test_ten_minutes_of_ambient_motion_give_the_damping_by_two_methods() -> None
 
 @pytest.mark.slow
 def test_intervals_hold_what_they_promise_and_are_not_wide() -> None:
-    inside, off, found = 0, [], 0
+    inside, off, result = 0, [], 0
     for seed in range(60):
         swings = meter(ambient(seed, 600.0)).swings
         near = [s for s in swings if abs(s.frequency_hz - F) < 0.03 and s.estimates]
-        found += bool(near)
+        result += bool(near)
         for s in near[:1]:
             low, high = s.estimates[0].damping_interval
             inside += low <= Z <= high
             off.append(s.estimates[0].damping_ratio - Z)
-    assert found == 60
+    assert result == 60
     assert inside >= 52  # of a binomial of 60 with 0.95, the chance of fewer is 0.5 %
     assert abs(np.mean(off)) < 0.003
     assert np.std(off) < 0.008
@@ -106,20 +106,20 @@ def test_intervals_hold_what_they_promise_and_are_not_wide() -> None:
 @pytest.mark.parametrize(("f", "length_s"), [(0.31, 60.0), (0.545, 180.0), (0.9, 60.0)])
 def test_a_line_is_forced_and_gets_no_damping_ratio(f: float, length_s: float) -> None:
     """The second is at the mode itself, where a minute is not enough to be certain."""
-    found = meter(with_sine(ambient(3, length_s), f, 3.0))
-    top = found.swings[0]
+    result = meter(with_sine(ambient(3, length_s), f, 3.0))
+    top = result.swings[0]
     assert top.kind == "forced"
     assert top.frequency_hz == pytest.approx(f, abs=0.002)
     assert top.estimates == ()
-    assert "damping_ratio" not in json.dumps(found.as_dict()["swings"][0])
+    assert "damping_ratio" not in json.dumps(result.as_dict()["swings"][0])
 
 
 @pytest.mark.slow
 def test_harmonics_that_stand_are_told_and_the_mode_beside_a_line_is_metered() -> None:
-    found = meter(with_sine(ambient(4, 600.0), 0.8, 1.5, {3: 0.4}), band_hz=(0.1, 2.8))
-    line = next(s for s in found.swings if s.kind == "forced")
+    result = meter(with_sine(ambient(4, 600.0), 0.8, 1.5, {3: 0.4}), band_hz=(0.1, 2.8))
+    line = next(s for s in result.swings if s.kind == "forced")
     assert "harmonics 3 stand too" in line.why
-    mode = next(s for s in found.swings if abs(s.frequency_hz - F) < 0.02)
+    mode = next(s for s in result.swings if abs(s.frequency_hz - F) < 0.02)
     low, high = mode.estimates[0].damping_interval
     assert low < Z < high
 
@@ -137,9 +137,9 @@ def test_sixty_seconds_of_a_mode_are_not_called_forced(seed: int) -> None:
 def test_a_run_rings_down_as_its_own_fit_and_its_roots_say(tmp_path: Path) -> None:
     run = ia.simulate("ring-down")
     run.save(tmp_path)
-    found = meter(ia.read_record(tmp_path / "trajectory.parquet"), modes=list(ia.modes(run.case).values()))
-    assert found.kind == "ring-down"
-    swing = next(s for s in found.swings if s.mode == "inter-area")
+    result = meter(ia.read_record(tmp_path / "trajectory.parquet"), modes=list(ia.modes(run.case).values()))
+    assert result.kind == "ring-down"
+    swing = next(s for s in result.swings if s.mode == "inter-area")
     estimate = swing.estimates[0]
     assert estimate.damping_ratio == pytest.approx(run.metrics.damping_ratio["inter-area"], abs=0.002)
     low, high = estimate.damping_interval

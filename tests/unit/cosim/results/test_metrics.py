@@ -24,8 +24,8 @@ def test_three_modes_in_four_signals_are_told_apart() -> None:
     wanted = [(0.08, 0.62), (0.25, 1.14), (0.20, 1.21)]
     values = sum(np.outer(swing(z, f), s) for (z, f), s in zip(wanted, shapes, strict=True))
     fit = m.ring_down(T, values, rank_tolerance=1e-8)
-    found = sorted((mode.frequency_hz, mode.damping_ratio) for mode in fit.modes)
-    np.testing.assert_allclose(found, [(f, z) for z, f in wanted], rtol=1e-6)
+    result = sorted((mode.frequency_hz, mode.damping_ratio) for mode in fit.modes)
+    np.testing.assert_allclose(result, [(f, z) for z, f in wanted], rtol=1e-6)
     assert fit.error <= 1e-9
 
 
@@ -119,9 +119,9 @@ def test_jolts_mislead_a_pencil_but_not_a_robust_fit_of_the_modes_there_are() ->
     first = m.ring_down(T, clean + jolts)
     assert not first.good
     starts = [-0.2 + 3.5j, -1.0 + 8.0j]
-    found = m.robust_ring_down(T, clean + jolts, first, starts)
-    assert found.method == "variable projection" and len(found.modes) == 2
-    slow = min(found.modes, key=lambda mode: mode.frequency_hz)
+    result = m.robust_ring_down(T, clean + jolts, first, starts)
+    assert result.method == "variable projection" and len(result.modes) == 2
+    slow = min(result.modes, key=lambda mode: mode.frequency_hz)
     assert slow.frequency_hz == pytest.approx(0.62, rel=5e-3)
     assert slow.damping_ratio == pytest.approx(0.08, abs=2e-3)
     near = min(first.modes, key=lambda mode: abs(mode.frequency_hz - 0.62))

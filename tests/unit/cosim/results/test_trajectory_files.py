@@ -117,14 +117,14 @@ def test_record_and_every(
     whole = run_system(scenario(folder), cache=cache).data
     monkeypatch.setattr(records, "PART", 33)
     write_run(scenario(folder, record=["b.*", "a.y"], every=every), tmp_path, cache=cache)
-    found = Trajectory.read_parquet(tmp_path / NAMES[1]).data
+    result = Trajectory.read_parquet(tmp_path / NAMES[1]).data
     last = len(whole) - 1
     rows = [*range(0, last, every), last]
     wanted = [c for c in whole.columns if c in (TIME, "a.y") or c.startswith("b.")]
-    assert list(found.columns) == wanted and len(wanted) > 3
-    pd.testing.assert_frame_equal(found, whole[wanted].iloc[rows].reset_index(drop=True), check_dtype=False)
+    assert list(result.columns) == wanted and len(wanted) > 3
+    pd.testing.assert_frame_equal(result, whole[wanted].iloc[rows].reset_index(drop=True), check_dtype=False)
     text = pd.read_csv(tmp_path / NAMES[0])
-    assert list(text.columns) == wanted and np.array_equal(text["a.y"], found["a.y"])
+    assert list(text.columns) == wanted and np.array_equal(text["a.y"], result["a.y"])
 
 
 def test_a_signal_that_is_not_there_is_refused_before_the_run(

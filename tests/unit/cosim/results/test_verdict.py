@@ -21,18 +21,18 @@ def ring(zeta: float, hertz: float = 0.6, time: np.ndarray = T) -> np.ndarray:
     [(0.3, v.SETTLED), (0.05, v.SETTLED), (0.01, v.SLOW), (0.0, v.STANDING), (-0.01, v.GROWING)],
 )
 def test_one_mode_by_its_damping(zeta: float, name: str) -> None:
-    found = judged(T, ring(zeta))
-    assert found.name == name and found.stable is (zeta > 0.0)
+    result = judged(T, ring(zeta))
+    assert result.name == name and result.stable is (zeta > 0.0)
     # exp(-zeta w 5 s) from one window to the next
-    assert found.last / found.before == pytest.approx(np.exp(-zeta * 2 * np.pi * 0.6 * 5.0), rel=0.02)
+    assert result.last / result.before == pytest.approx(np.exp(-zeta * 2 * np.pi * 0.6 * 5.0), rel=0.02)
 
 
 @pytest.mark.parametrize("start", [0.3, 1.0, 3.0])
 @pytest.mark.parametrize("approach", [1.0, 2.0])
 def test_a_limit_cycle_is_no_success_from_wherever_it_is_reached(start: float, approach: float) -> None:
     envelope = 1.0 + (start - 1.0) * np.exp(-approach * T)
-    found = judged(T, 1e-3 * envelope * np.sin(2 * np.pi * 0.6 * T))
-    assert found.name == v.STANDING and not found.stable
+    result = judged(T, 1e-3 * envelope * np.sin(2 * np.pi * 0.6 * T))
+    assert result.name == v.STANDING and not result.stable
 
 
 def test_a_limit_cycle_far_below_the_first_swing_is_none_either() -> None:
@@ -58,8 +58,8 @@ def test_a_control_at_its_limit_in_the_end_is_no_success() -> None:
 def test_a_control_that_goes_on_is_no_success_though_the_speeds_settle() -> None:
     """+-0.03 pu at 0.1 Hz below the limit, which the speeds hardly show."""
     control = 0.03 * np.sin(2 * np.pi * 0.2 * T)
-    found = judged(T, ring(0.3), controls={"vs": control}, limit_pu=0.05)
-    assert found.name == v.STANDING and "vs" in found.why
+    result = judged(T, ring(0.3), controls={"vs": control}, limit_pu=0.05)
+    assert result.name == v.STANDING and "vs" in result.why
 
 
 def test_a_standing_swing_of_all_machines_together_is_seen() -> None:
@@ -72,18 +72,18 @@ def test_a_standing_swing_of_all_machines_together_is_seen() -> None:
 def test_a_slip_is_told_with_the_angle_and_when() -> None:
     turned = np.radians(90.0 + 1000.0 * np.clip(T - 5.0, 0.0, 1.0))
     angles = np.array([turned, np.zeros(len(T))])
-    found = judged(T, ring(0.3), angles=angles)
-    assert found.name == v.LOST and not found.stable and not found.synchronous
-    assert found.lost_s == pytest.approx(5.1, abs=0.02)  # 90 degrees more at 1000 a second
-    assert found.angle_deg == pytest.approx(1090.0) and found.slips == 3 and found.pair == ("A", "B")
+    result = judged(T, ring(0.3), angles=angles)
+    assert result.name == v.LOST and not result.stable and not result.synchronous
+    assert result.lost_s == pytest.approx(5.1, abs=0.02)  # 90 degrees more at 1000 a second
+    assert result.angle_deg == pytest.approx(1090.0) and result.slips == 3 and result.pair == ("A", "B")
 
 
 def test_angles_that_are_not_shown_come_from_the_speeds() -> None:
     speed = np.full(len(T), 1e-3)  # of one against the other: 360 * 60 * 1e-3 = 21.6 degrees a second
     motion = v.Motion(["A", "B"], [[0, 1]], (), (), 20.0, 2 * np.pi * 60.0)
     motion.add(T, np.array([speed, 0 * speed]), None, {})
-    found = motion.verdict(None)
-    assert found.angle_deg == pytest.approx(432.0) and found.lost_s == pytest.approx(180 / 21.6, abs=0.02)
+    result = motion.verdict(None)
+    assert result.angle_deg == pytest.approx(432.0) and result.lost_s == pytest.approx(180 / 21.6, abs=0.02)
 
 
 def test_machines_of_different_islands_do_not_slip_against_each_other() -> None:
@@ -104,8 +104,8 @@ def test_a_machine_alone_settles_at_another_frequency_or_does_not() -> None:
 def test_no_window_holds_the_end_of_an_outage() -> None:
     """The kick of a signal that returns is no growth, whether the run ends with it or a second later."""
     swing = ring(0.08) + 1e-4 * np.where(T >= 19.0, np.sin(2 * np.pi * 0.6 * (T - 19.0)), 0.0)
-    found = judged(T, swing, events_s=[0.0], outages_s=[1.5, 19.0])
-    assert found.stable and found.window_s == (1.5, 19.0) and "up to 19 s" in found.why
+    result = judged(T, swing, events_s=[0.0], outages_s=[1.5, 19.0])
+    assert result.stable and result.window_s == (1.5, 19.0) and "up to 19 s" in result.why
     jump = np.where(T >= 20.0, 0.05, 0.0)
     kicked = judged(T, ring(0.08), outages_s=[1.5, 20.0], controls={"vs": jump}, limit_pu=0.05)
     assert kicked.name == v.SETTLED
@@ -114,16 +114,16 @@ def test_no_window_holds_the_end_of_an_outage() -> None:
 
 
 def test_what_follows_the_last_event_too_shortly_is_not_judged() -> None:
-    found = judged(T, ring(0.3), events_s=[1.0, 19.0])
-    assert found.name == v.NOT_JUDGED and not found.stable
+    result = judged(T, ring(0.3), events_s=[1.0, 19.0])
+    assert result.name == v.NOT_JUDGED and not result.stable
 
 
 def test_a_grid_at_rest_is_what_its_linear_loop_is() -> None:
     still = np.zeros(len(T))
     assert judged(T, still).name == v.SETTLED
     assert judged(T, still, root=-0.1 + 4j).name == v.SETTLED
-    found = judged(T, still, root=0.03 + 4j)
-    assert found.name == v.GROWING and "+0.03" in found.why
+    result = judged(T, still, root=0.03 + 4j)
+    assert result.name == v.GROWING and "+0.03" in result.why
     # growth with a time constant of 33 s does not show in 20 s
     assert judged(T, ring(0.1), root=0.03 + 0.67j).name == v.GROWING
 

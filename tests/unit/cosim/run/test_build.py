@@ -132,4 +132,4 @@ def test_mistakes_beside_a_plant(tmp_path: Path) -> None:
         system.event("vref_pulse", **PULSE | {"machine": "G9"})
     with pytest.raises(ScenarioError, match="vref_pulse"):
         system.event("vref_puls", **PULSE)
-    assert system.marks_s == ()
+    assert system.event_times_s == ()

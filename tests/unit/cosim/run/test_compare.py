@@ -51,9 +51,9 @@ def test_roots_over_latency_are_those_of_the_loop_with_that_latency(scenario: Sc
     late = {n: c.model_copy(update={"latency_s": at_s}) for n, c in scenario.channels.items()}
     single = scenario.model_copy(update={"channels": late, "controller": "mine.json"})
     wanted = system_of(single, cache=cache).linear_swings()
-    found = mine.locus[at_s]
-    assert isinstance(wanted, LoopModes) and isinstance(found, LoopModes)
-    assert found.least == pytest.approx(wanted.least, rel=1e-9)
+    result = mine.locus[at_s]
+    assert isinstance(wanted, LoopModes) and isinstance(result, LoopModes)
+    assert result.least == pytest.approx(wanted.least, rel=1e-9)
     rows = [r for r in mine.roots() if r["latency_s"] == at_s]
     assert min(r["damping_ratio"] for r in rows) == pytest.approx(-wanted.least.real / abs(wanted.least))  # type: ignore[union-attr]
     least = [m.least for m in mine.locus.values() if isinstance(m, LoopModes) and m.least is not None]

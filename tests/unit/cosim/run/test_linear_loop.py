@@ -106,9 +106,9 @@ def test_packets_and_losses_count_in_the_mean() -> None:
 def test_a_signal_that_is_lost_in_the_window_counts_as_lost() -> None:
     channels = document(0.1)["channels"]
     channels["remote"]["outages_s"] = [[1.5, 20.0]]
-    found, whole = swings(channels=channels), swings()
-    assert isinstance(found, LoopModes) and isinstance(whole, LoopModes)
-    assert found.named["inter-area"] != pytest.approx(whole.named["inter-area"], abs=1e-3)
+    result, whole = swings(channels=channels), swings()
+    assert isinstance(result, LoopModes) and isinstance(whole, LoopModes)
+    assert result.named["inter-area"] != pytest.approx(whole.named["inter-area"], abs=1e-3)
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from whims import whims_fmu
+from misbehaving import misbehaving_fmu
 
 from interarea.cosim.errors import StepError
 from interarea.cosim.master.instances import FmuParticipant
@@ -23,20 +23,20 @@ def chain(file: Path) -> System:
 
 
 def test_the_second_instance_runs_apart(tmp_path: Path) -> None:
-    result = chain(whims_fmu(tmp_path, once=True)).run()
+    result = chain(misbehaving_fmu(tmp_path, once=True)).run()
     t = result["time_s"]
     np.testing.assert_allclose(result["b.y"], t + t**2, atol=1e-12)
 
 
 def test_without_the_flag_both_are_here_and_this_fmu_says_so(tmp_path: Path) -> None:
     with pytest.raises(StepError, match="2 instances"):
-        chain(whims_fmu(tmp_path)).run()
+        chain(misbehaving_fmu(tmp_path)).run()
 
 
 def test_the_first_instance_is_here_again_when_the_other_has_ended(tmp_path: Path) -> None:
     """By the guid: a copy of the file is the same model."""
-    file = FmuFile(whims_fmu(tmp_path / "1", once=True))
-    copy = FmuFile(whims_fmu(tmp_path / "2", once=True))
+    file = FmuFile(misbehaving_fmu(tmp_path / "1", once=True))
+    copy = FmuFile(misbehaving_fmu(tmp_path / "2", once=True))
     first = participant_of("a", file, {})
     second = participant_of("b", copy, {})
     assert type(first) is FmuParticipant and type(second) is WorkerParticipant

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from whims import whims_fmu
+from misbehaving import misbehaving_fmu
 
 from interarea.cosim.errors import GraphError
 from interarea.cosim.run.system import System
@@ -16,7 +16,7 @@ from interarea.cosim.run.system import System
 
 def renamed(folder: Path, name: str) -> Path:
     """The integrator, its start value x0 called `name`."""
-    file, path = whims_fmu(folder), folder / "renamed.fmu"
+    file, path = misbehaving_fmu(folder), folder / "renamed.fmu"
     with zipfile.ZipFile(file) as old, zipfile.ZipFile(path, "w") as new:
         for entry in old.namelist():
             new.writestr(entry, old.read(entry).replace(b'name="x0"', f'name="{name}"'.encode()))

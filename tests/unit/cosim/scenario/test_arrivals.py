@@ -96,7 +96,7 @@ def test_arrivals_are_not_recorded_and_a_channel_without_packets_has_none() -> N
     np.testing.assert_allclose(run.time_s, np.arange(201) / 100, atol=1e-12)
     assert len(master.clock.steps) == 200 + 2 * len(master.clock.points)
     plain = system(0.01, {"latency_s": 0.0437}).master()
-    assert plain.clock.kinks == (43_700_000,)  # the source starts with a slope, which shows there
+    assert plain.clock.slope_events == (43_700_000,)  # the source starts with a slope, which shows there
     assert len(plain.clock.steps) == 200 + 3
 
 
@@ -125,7 +125,7 @@ def test_both_engines_give_the_same_bits_where_packets_come_out(hand_controller:
 
 def test_the_end_of_holding_is_a_communication_point() -> None:
     line = ChannelLine(on_loss="hold_then_zero", hold_s=0.25, outages_s=((0.5, 1.0), (1.2, 1.3)))
-    assert line.marks_s == (0.5, 0.75, 1.0, 1.2, 1.3)
+    assert line.event_times_s == (0.5, 0.75, 1.0, 1.2, 1.3)
     packets = ChannelLine(
         latency_s=0.05,
         reporting_interval_s=0.1,

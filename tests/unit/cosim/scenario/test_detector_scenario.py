@@ -68,10 +68,10 @@ def test_polarity_in_a_swing_is_named_at_its_first_frame_and_taken_away() -> Non
 def test_a_bank_switches_to_what_needs_no_wrong_signal() -> None:
     run = simulate(scenario("active", {"kind": "stuck"}))
     member = run.data["controller.active"]
-    found = run.data["time_s"][run.data["detector.G4_dw_reason"] != 0].iloc[0]
-    assert found == pytest.approx(WRONG_S + 10 * 0.02, abs=0.031)
+    result = run.data["time_s"][run.data["detector.G4_dw_reason"] != 0].iloc[0]
+    assert result == pytest.approx(WRONG_S + 10 * 0.02, abs=0.031)
     assert member.iloc[0] == 1
-    assert member[run.data["time_s"] > found + 0.05].min() > 1
+    assert member[run.data["time_s"] > result + 0.05].min() > 1
 
 
 @pytest.mark.slow

@@ -65,14 +65,14 @@ def test_its_group_delay_is_in_the_ledger(run: Run, hand_controller: Controller,
 
 def test_damping_is_that_of_the_roots_with_the_window(hand_controller: Controller, cache: Path) -> None:
     """The mode that the loop acts on: simulated and fitted, and a root of the loop with H(s) of the PMU."""
-    found = {}
+    result = {}
     for performance in ("P", "M"):
         table = scenario({"bus": 2, "performance": performance}, stop_s=15.0)
         metrics = run_scenario(table, controller=hand_controller, cache=cache).metrics
         assert metrics.methods["damping_ratio"].startswith("roots of the linear loop")
-        found[performance] = metrics.damping_ratio["inter-area"]
-        assert metrics.ring_down["inter-area"] == pytest.approx(found[performance], abs=1e-3)
-    assert abs(found["P"] - found["M"]) > 4e-3  # the window is not nothing
+        result[performance] = metrics.damping_ratio["inter-area"]
+        assert metrics.ring_down["inter-area"] == pytest.approx(result[performance], abs=1e-3)
+    assert abs(result["P"] - result["M"]) > 4e-3  # the window is not nothing
 
 
 def test_shown_outputs_come_by_name(run: Run) -> None:

@@ -53,7 +53,7 @@ def test_the_documented_file_loads(tmp_path: Path) -> None:
     path.write_text(FILE, encoding="utf-8")
     scenario = load_scenario(path)
     assert scenario.name == "lost"
-    assert scenario.marks_s == (1.0, 1.1333333, 1.2, 10.0)
+    assert scenario.event_times_s == (1.0, 1.1333333, 1.2, 10.0)
     assert scenario.channels["local"].latency_s == 0.0
     assert [e.kind for e in scenario.event] == ["bus_fault", "branch_trip", "vref_pulse"]
 

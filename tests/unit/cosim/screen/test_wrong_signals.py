@@ -107,16 +107,16 @@ def test_a_loop_with_the_wrong_sign_fails_and_one_that_hardly_acts_passes() -> N
 @pytest.mark.slow
 def test_a_stuck_signal_is_named_when_the_detector_says_so() -> None:
     robust = load_controller("robust")
-    found = certified(robust, kinds=("stuck", "swapped with another"), disturbances=("bus fault",))
-    times = {r.signal: r.detected_s for r in found.rows if r.kind == "stuck" and r.detector}
+    result = certified(robust, kinds=("stuck", "swapped with another"), disturbances=("bus fault",))
+    times = {r.signal: r.detected_s for r in result.rows if r.kind == "stuck" and r.detector}
     # ten equal frames after 1.5 s, the remote ones 100 ms late, and one step
     assert times["G4_dw"] == pytest.approx(0.2 + 0.015, abs=0.02)
     assert times["G2_dw"] == pytest.approx(0.3 + 0.015, abs=0.02)
-    assert not any(r.others for r in found.rows)
-    swapped = [r for r in found.rows if r.kind == "swapped with another"]
+    assert not any(r.others for r in result.rows)
+    swapped = [r for r in result.rows if r.kind == "swapped with another"]
     assert len(swapped) == 4
-    with_g4_out = next(o for o in found.out if o.signal == "G4_dw")
-    with_g2_out = next(o for o in found.out if o.signal == "G2_dw")
+    with_g4_out = next(o for o in result.out if o.signal == "G4_dw")
+    with_g2_out = next(o for o in result.out if o.signal == "G2_dw")
     # printed in docs/controllers.md: .245 and .296 with the remote signal lost; the grid alone has .077
     assert (round(with_g2_out.worst_swing, 3), round(with_g2_out.inter_area, 3)) == (0.245, 0.296)
     assert with_g4_out.inter_area < 0.1
@@ -149,11 +149,11 @@ def test_the_second_point_is_no_designs_and_has_the_stated_load() -> None:
 
 def test_signals_come_from_the_controller_and_witnesses_from_every_area() -> None:
     robust = load_controller("robust")
-    found = signals_of(CASE, robust)
-    assert found.ways == {"G2_dw": 0.1, "G4_dw": 0.0}
-    assert set(found.witnesses) == {"G1_dw", "G3_dw"}
+    result = signals_of(CASE, robust)
+    assert result.latency_s_of == {"G2_dw": 0.1, "G4_dw": 0.0}
+    assert set(result.witnesses) == {"G1_dw", "G3_dw"}
     designed = signals_of(CASE, robust, ("G4_dw", "G3_dw", "G2_dw"))
-    assert (set(designed.ways), set(designed.witnesses)) == ({"G2_dw", "G4_dw"}, {"G3_dw"})
+    assert (set(designed.latency_s_of), set(designed.witnesses)) == ({"G2_dw", "G4_dw"}, {"G3_dw"})
 
 
 def test_a_detector_without_a_signal_of_the_controller_is_refused() -> None:

@@ -244,19 +244,19 @@ def test_swing_poles_are_poles_of_the_closed_loop(
     K = hand_controller.system
     G = select(plant, ["G4_vs"], ["G2_dw", "G4_dw"])
     poles = np.linalg.eigvals(np.block([[G.A, G.B @ K.C], [K.B @ G.C, K.A]]))
-    found = certificates.swing_poles(plant, K, modes)
-    assert list(found) == list(modes)
-    for pole in found.values():
+    result = certificates.swing_poles(plant, K, modes)
+    assert list(result) == list(modes)
+    for pole in result.values():
         assert np.min(np.abs(poles - pole)) < 1e-9
-    assert len({complex(np.round(p, 6)) for p in found.values()}) == 3
+    assert len({complex(np.round(p, 6)) for p in result.values()}) == 3
 
 
 def test_with_every_signal_lost_the_modes_are_those_of_the_plant(
     plant: control.StateSpace, modes: Modes, hand_controller: Controller
 ) -> None:
-    found = certificates.swing_poles(plant, hand_controller.system, modes, lost=("G2_dw", "G4_dw"))
+    result = certificates.swing_poles(plant, hand_controller.system, modes, lost=("G2_dw", "G4_dw"))
     for name, mode in modes.items():
-        assert found[name] == pytest.approx(mode.eigenvalue, abs=1e-8)
+        assert result[name] == pytest.approx(mode.eigenvalue, abs=1e-8)
 
 
 def test_certificate_says_lost_where_the_signal_is_lost(
@@ -275,9 +275,9 @@ def test_effort_is_the_peak_of_the_gain(plant: control.StateSpace, hand_controll
     G = select(plant, ["G4_vs"], ["G2_dw", "G4_dw"])
     g, k = (response(system, np.logspace(-2, 2, 4000)) for system in (G, K))
     peak = float(np.linalg.norm(k @ np.linalg.inv(np.eye(2) - g @ k), 2, axis=(1, 2)).max())
-    found = certificates.effort(plant, K)
-    assert peak <= found * (1.0 + 1e-9)
-    assert found == pytest.approx(peak, rel=1e-3)
+    result = certificates.effort(plant, K)
+    assert peak <= result * (1.0 + 1e-9)
+    assert result == pytest.approx(peak, rel=1e-3)
 
 
 def test_least_damping_without_latency_is_that_of_the_eigenvalues(

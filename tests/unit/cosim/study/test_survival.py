@@ -28,10 +28,10 @@ def test_the_search_ends_within_its_tolerance_below_the_limit() -> None:
         calls.append(len(tried))
         return {s: value <= limit[s] for s, value in tried.items()}
 
-    found = longest_kept(SETTINGS, kept, 1.0, 30.0, 0.15)
+    result = longest_kept(SETTINGS, kept, 1.0, 30.0, 0.15)
     for setting in (SETTINGS[0], SETTINGS[2]):
-        assert limit[setting] - 0.15 <= found[setting] <= limit[setting]
-    assert found[SETTINGS[1]] == 0.0 and found[SETTINGS[3]] == 30.0
+        assert limit[setting] - 0.15 <= result[setting] <= limit[setting]
+    assert result[SETTINGS[1]] == 0.0 and result[SETTINGS[3]] == 30.0
     assert calls[0] == calls[1] == 4 and calls[2] == 2  # settings that are decided are not run again
     assert len(calls) == 2 + 8  # 29 cycles halved to below 0.15
 
@@ -59,14 +59,14 @@ def test_side_by_side_every_fault_is_the_run_made_alone(
     clearing = dict(zip(settings, (0.1, 0.1333333, 0.2), strict=True))
     with Faults(spec, {"wdc": hand_controller}, two_area, cache) as faults:
         first = faults.largest_angles(dict.fromkeys(settings, 0.3))
-        found = faults.largest_angles(clearing)
+        result = faults.largest_angles(clearing)
         assert faults.clearing_s == pytest.approx(8.0 / 60.0, abs=1e-6)
         documents = {s: faults.document(s, at) for s, at in clearing.items()}
     for setting, document in documents.items():
         own = None if setting.controller == NONE else by_hand
         data = run_scenario(document, cache=cache, controller=own).trajectory.data
         angles = np.array([data[f"plant.{m.name}_delta"] for m in two_area.machines])
-        assert found[setting] == float(np.ptp(angles, axis=0).max()) < first[setting]
+        assert result[setting] == float(np.ptp(angles, axis=0).max()) < first[setting]
     assert [e["kind"] for e in documents[settings[0]]["event"]] == ["bus_fault", "branch_trip"]
     assert {e.get("end_s", e["start_s"]) for e in documents[settings[0]]["event"]} == {1.1}
 
@@ -102,9 +102,9 @@ def test_a_local_stabilizer_loses_what_the_bank_keeps(two_area: Case, cache: Pat
     controllers = {"active": shipped_bank("active"), row["name"]: local_stabilizer(row, two_area)}
     case = case_at(two_area, {"tie_flow_mw": 100.0}, {})
     with Faults(spec, controllers, case, cache) as faults:
-        found = faults.outcomes(settings_of(spec, controllers))
-    assert not found[Setting("local_stabilizer")].synchronous
-    for setting, run in found.items():
+        result = faults.outcomes(settings_of(spec, controllers))
+    assert not result[Setting("local_stabilizer")].synchronous
+    for setting, run in result.items():
         assert run.stable == (setting.controller != "local_stabilizer"), setting
 
 

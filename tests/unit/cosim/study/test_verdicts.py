@@ -22,9 +22,9 @@ def verdict_of(study: dict[str, Any], check: str) -> str:
 
 def test_every_verdict_comes_out_again_from_its_evidence() -> None:
     study = sample_study()
-    found = {row["says"]: row["verdict"] for row in study["printed"]["verdicts"]}
-    assert found == recomputed(STATEMENTS, study)
-    assert set(found.values()) == {"agrees", "partly", "differs"}
+    result = {row["says"]: row["verdict"] for row in study["printed"]["verdicts"]}
+    assert result == recomputed(STATEMENTS, study)
+    assert set(result.values()) == {"agrees", "partly", "differs"}
 
 
 @pytest.mark.parametrize(

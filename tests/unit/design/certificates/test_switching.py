@@ -65,11 +65,11 @@ def oscillator_bank(gain: float, **changes: float) -> tuple[control.StateSpace, 
 
 def test_mild_bank_needs_no_dwell() -> None:
     plant, bank = oscillator_bank(0.2)
-    found, P = switching_certificate(plant, bank)
-    assert found.kind == "common Lyapunov function" and P is not None
-    assert 0.0 < found.decay_rate <= found.slowest
+    result, P = switching_certificate(plant, bank)
+    assert result.kind == "common Lyapunov function" and P is not None
+    assert 0.0 < result.decay_rate <= result.slowest
     # both with any of 4 sets, local with G4_dw or nothing, off with G2_dw or nothing
-    assert len(found.loops) == 4 + 2 + 2
+    assert len(result.loops) == 4 + 2 + 2
 
 
 @pytest.mark.parametrize("fade_s", [0.0, 0.05])

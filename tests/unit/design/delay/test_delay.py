@@ -46,10 +46,10 @@ def test_rightmost_roots_are_those_of_lambert_w(a: float, b: float, tau: float) 
     # s = a + b exp(-s tau)  <=>  s = a + W_k(b tau exp(-a tau)) / tau
     expected = [a + lambertw(b * tau * np.exp(-a * tau), k) / tau for k in range(-6, 7)]
     expected.sort(key=lambda s: -s.real)
-    found = rightmost_roots(scalar_loop(a, b, tau), right_of=-1.0, least=4)
-    for s in found[:4]:
+    result = rightmost_roots(scalar_loop(a, b, tau), right_of=-1.0, least=4)
+    for s in result[:4]:
         assert min(abs(s - e) for e in expected) < 1e-8
-    assert found[0].real == pytest.approx(expected[0].real, abs=1e-8)
+    assert result[0].real == pytest.approx(expected[0].real, abs=1e-8)
 
 
 @pytest.mark.parametrize("k", [0.5, 2.0, 7.0])

@@ -82,13 +82,13 @@ def test_modes_are_those_of_a_fine_discretisation(name: str, latency: float) -> 
         omega_b=case.omega_b,
         high_hz=BAND_HZ[1],
     )
-    found = all_modes(plant_of(name), case.areas, band_hz=BAND_HZ, below=BELOW, loop=loop)
+    result = all_modes(plant_of(name), case.areas, band_hz=BAND_HZ, below=BELOW, loop=loop)
     values = np.linalg.eigvals(generator(name, K, late))
     dense = values[REGION.holds(values)]
-    assert found.counted == len(found.modes) == len(dense) >= 2
-    for mode in found.modes:
+    assert result.counted == len(result.modes) == len(dense) >= 2
+    for mode in result.modes:
         assert np.min(np.abs(mode.eigenvalue - dense)) < 1e-7 * abs(mode.eigenvalue)
-    assert found.residual <= 1e-9
+    assert result.residual <= 1e-9
 
 
 def test_the_count_of_a_late_loop_needs_no_search() -> None:
@@ -106,8 +106,8 @@ def test_vectors_of_a_late_mode_tell_how_a_parameter_moves_it() -> None:
     name, K, latency = "two-area-thesis", CONTROLLERS["two-area-thesis"](), 0.2
     late = dict.fromkeys(K.input_labels, latency)
     loop = LatePlant(plant_of(name), K, late, omega_b=load_case(name).omega_b, high_hz=2.5)
-    found = all_modes(plant_of(name), load_case(name).areas, band_hz=BAND_HZ, below=BELOW, loop=loop)
-    mode = found.modes[0]
+    result = all_modes(plant_of(name), load_case(name).areas, band_hz=BAND_HZ, below=BELOW, loop=loop)
+    mode = result.modes[0]
     at = plant_of(name).speed[1]
     whole, ends = generator(name, K, np.full(2, latency)), []
     for h in (1e-4, -1e-4):

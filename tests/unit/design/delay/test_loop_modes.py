@@ -14,7 +14,7 @@ from interarea.design.controllers.bundled import shipped_controller
 from interarea.design.controllers.controller import Controller
 from interarea.design.delay.characteristic_roots import DelayError, discretised
 from interarea.design.delay.curves import delayed_loop, rightmost_roots, track_roots
-from interarea.design.delay.loop_modes import SWING_HZ, LoopFunction, SignalWay, zeros_of
+from interarea.design.delay.loop_modes import SWING_HZ, DelayedPath, LoopFunction, zeros_of
 from interarea.design.delay.transfer_matrix import ModalForm, TransferMatrix
 from interarea.design.linear.linearise import remove_reference, speeds_in_rad
 from interarea.design.modes.modes import Modes, damping_ratio, modes_of
@@ -51,36 +51,36 @@ def test_without_latency_the_roots_are_the_eigenvalues(
     name: str, plant: tuple[control.StateSpace, Modes]
 ) -> None:
     K = controller(name).system
-    found = LoopFunction(plant[0], K).modes({}, poles_of(plant[1]))
+    result = LoopFunction(plant[0], K).modes({}, poles_of(plant[1]))
     values = np.linalg.eigvals(closed_loop_matrix(plant[0], K))
     inside = values[(values.real > -12.0) & (values.real < 2.0)]
     np.testing.assert_allclose(
-        in_band(np.array(found.roots)), in_band(inside), rtol=1e-7, err_msg="a root is missing"
+        in_band(np.array(result.roots)), in_band(inside), rtol=1e-7, err_msg="a root is missing"
     )
 
 
 def test_with_latency_they_are_those_of_the_discretised_loop(plant: tuple[control.StateSpace, Modes]) -> None:
     K = controller("wide_area").system
     late = dict.fromkeys(K.input_labels, 0.2)
-    found = LoopFunction(plant[0], K).modes({s: SignalWay(t) for s, t in late.items()}, poles_of(plant[1]))
+    result = LoopFunction(plant[0], K).modes({s: DelayedPath(t) for s, t in late.items()}, poles_of(plant[1]))
     exact = rightmost_roots(delayed_loop(plant[0], K, late), right_of=-2.5)
-    roots = np.array(found.roots)
+    roots = np.array(result.roots)
     np.testing.assert_allclose(in_band(roots[roots.real > -2.5]), in_band(exact), rtol=1e-8)
-    assert found.least is not None
-    assert found.name_of(found.least) == ""  # no mode of the open loop is least here
-    assert damping_ratio(found.least) == pytest.approx(min(map(damping_ratio, in_band(exact))), rel=1e-8)
+    assert result.least is not None
+    assert result.name_of(result.least) == ""  # no mode of the open loop is least here
+    assert damping_ratio(result.least) == pytest.approx(min(map(damping_ratio, in_band(exact))), rel=1e-8)
 
 
 def test_modes_have_the_names_that_certificates_give_them(plant: tuple[control.StateSpace, Modes]) -> None:
     """Two other ways: eigenvectors followed over the gain, a root and its vector over the latency."""
     K = controller("wdc").system
     late = dict.fromkeys(K.input_labels, 0.2)
-    found = LoopFunction(plant[0], K).modes({s: SignalWay(t) for s, t in late.items()}, poles_of(plant[1]))
+    result = LoopFunction(plant[0], K).modes({s: DelayedPath(t) for s, t in late.items()}, poles_of(plant[1]))
     fixed = delayed_loop(plant[0], K)
     for name, pole in swing_poles(plant[0], K, plant[1]).items():
         root = track_roots(fixed, tuple(late), [0.2], pole, step_s=0.02)[-1]
-        assert found.named[name] == pytest.approx(complex(root), abs=1e-7), name
-    assert found.least is not None and found.name_of(found.least) == "local area 2"
+        assert result.named[name] == pytest.approx(complex(root), abs=1e-7), name
+    assert result.least is not None and result.name_of(result.least) == "local area 2"
 
 
 @pytest.mark.parametrize("on_loss", ["hold", "zero"])
@@ -112,9 +112,9 @@ def test_lost_packets_act_in_the_mean_as_the_recursion_of_the_mean_does(loss: fl
     K = control.ss(
         [[-1e4]], [[1e4]], [[-gain]], [[0.0]], inputs=["y"], outputs=["u"]
     )  # a gain, but for 0.1 ms
-    way = SignalWay(2 * interval, interval, loss, "hold" if on_loss == "hold" else "zero")
-    found = LoopFunction(plant, K).modes({"y": way}, {})
-    near = min(found.roots, key=lambda z: abs(z - exact))
+    way = DelayedPath(2 * interval, interval, loss, "hold" if on_loss == "hold" else "zero")
+    result = LoopFunction(plant, K).modes({"y": way}, {})
+    near = min(result.roots, key=lambda z: abs(z - exact))
     assert damping_ratio(near) == pytest.approx(damping_ratio(exact), abs=2e-3)
     assert near.imag == pytest.approx(exact.imag, rel=2e-3)
 
@@ -153,8 +153,8 @@ def test_all_roots_of_a_grid_with_slow_controls_are_found(latency_s: float, lost
     relative = remove_reference(linear_plant(case, default_cache()))
     grid, modes = speeds_in_rad(relative, case.omega_b), modes_of(relative, case.areas)
     K = shipped_controller("new_england").system
-    ways = {s: SignalWay(latency_s, lost=s == lost) for s in K.input_labels}
-    found = np.array(LoopFunction(grid, K).modes(ways, poles_of(modes)).roots)
+    ways = {s: DelayedPath(latency_s, lost=s == lost) for s in K.input_labels}
+    result = np.array(LoopFunction(grid, K).modes(ways, poles_of(modes)).roots)
     late = {s: latency_s for s in K.input_labels if s != lost and latency_s}
     heard = np.array([name != lost for name in K.input_labels], dtype=float)
     names = {"inputs": list(K.input_labels), "outputs": list(K.output_labels)}
@@ -164,16 +164,16 @@ def test_all_roots_of_a_grid_with_slow_controls_are_found(latency_s: float, lost
     else:
         values = np.linalg.eigvals(closed_loop_matrix(grid, there))
     exact = in_band(values[(values.real > -12.0) & (values.real < 2.0)])
-    np.testing.assert_allclose(in_band(found), exact, rtol=1e-7)
+    np.testing.assert_allclose(in_band(result), exact, rtol=1e-7)
 
 
 def test_nothing_arrives_over_a_lost_signal(plant: tuple[control.StateSpace, Modes]) -> None:
     K = controller("wdc").system
-    ways = {"G2_dw": SignalWay(lost=True), "G4_dw": SignalWay()}
-    found = LoopFunction(plant[0], K).modes(ways, poles_of(plant[1]))
+    ways = {"G2_dw": DelayedPath(lost=True), "G4_dw": DelayedPath()}
+    result = LoopFunction(plant[0], K).modes(ways, poles_of(plant[1]))
     values = np.linalg.eigvals(closed_loop_matrix(plant[0], K, lost=["G2_dw"]))
-    assert found.least is not None
-    assert np.min(np.abs(values - found.least)) <= 1e-7
+    assert result.least is not None
+    assert np.min(np.abs(values - result.least)) <= 1e-7
 
 
 @pytest.mark.parametrize("latency_s", [0.0, 0.15])
@@ -185,9 +185,9 @@ def test_a_controller_with_poles_of_any_multiplicity(
     K = control.ss(A, [[0.0], [1.0], [1.0]], [[-12.0, 4.0, 1.0]], 0.0, inputs=["G2_dw"], outputs=["G4_vs"])
     function = LoopFunction(plant[0], K)
     assert not isinstance(function._K, ModalForm)
-    found = np.array(function.modes({"G2_dw": SignalWay(latency_s=latency_s)}, poles_of(plant[1])).roots)
+    result = np.array(function.modes({"G2_dw": DelayedPath(latency_s=latency_s)}, poles_of(plant[1])).roots)
     exact = rightmost_roots(delayed_loop(plant[0], K, {"G2_dw": latency_s}), right_of=-4.0)
-    wanted, got = in_band(exact), in_band(found[found.real > -4.0])
+    wanted, got = in_band(exact), in_band(result[result.real > -4.0])
     assert len(wanted) >= 3
     np.testing.assert_allclose(got, wanted, rtol=1e-6)
 

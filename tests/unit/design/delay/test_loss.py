@@ -45,9 +45,9 @@ def test_scalar_loop_in_closed_form(p: float) -> None:
     a, k = 0.5, 2.0
     grown = np.exp(a * T)
     rho = (1.0 - p) * (grown - k * (grown - 1.0) / a) ** 2 + p * grown**2
-    found = PacketLoop(*scalar(a, k), T, {"y": LossyChannel(loss_good=p)}).mean_square()
-    assert found.radius == pytest.approx(rho, rel=1e-9)
-    assert found.decay_rate == pytest.approx(-np.log(rho) / (2.0 * T), rel=1e-6)
+    result = PacketLoop(*scalar(a, k), T, {"y": LossyChannel(loss_good=p)}).mean_square()
+    assert result.radius == pytest.approx(rho, rel=1e-9)
+    assert result.decay_rate == pytest.approx(-np.log(rho) / (2.0 * T), rel=1e-6)
 
 
 def test_critical_loss_in_closed_form() -> None:
@@ -55,8 +55,8 @@ def test_critical_loss_in_closed_form() -> None:
     grown = np.exp(a * T)
     closed = (grown - k * (grown - 1.0) / a) ** 2
     p = (1.0 - closed) / (grown**2 - closed)
-    found = critical_loss(*scalar(a, k), T, {"y": LossyChannel()}, tolerance=1e-6)
-    assert found == pytest.approx(p, abs=2e-6)
+    result = critical_loss(*scalar(a, k), T, {"y": LossyChannel()}, tolerance=1e-6)
+    assert result == pytest.approx(p, abs=2e-6)
     assert critical_loss(*scalar(-0.5, 0.1), T, {"y": LossyChannel()}) == 1.0
 
 

@@ -67,8 +67,8 @@ def units(folder: Path, names: str, **change: dict[str, float]) -> Case:
 
 def seen(case: Case) -> tuple[SparsePlant, ZeroEigenvalues, AllModes, np.ndarray]:
     plant = sparse_linear_plant(case, default_cache())
-    found = all_modes(plant, case.areas, band_hz=(0.1, 2.5), below=0.2)
-    return plant, zero_eigenvalues_of(plant), found, np.linalg.eigvals(plant.state_matrix())
+    modes = all_modes(plant, case.areas, band_hz=(0.1, 2.5), below=0.2)
+    return plant, zero_eigenvalues_of(plant), modes, np.linalg.eigvals(plant.state_matrix())
 
 
 @cache
@@ -82,47 +82,49 @@ def bundled(name: str) -> tuple[SparsePlant, ZeroEigenvalues, AllModes, np.ndarr
 )
 def test_rotation_and_common_speed_are_the_dense_zeros(name: str, common: bool) -> None:
     """NETS-NYPS brings a common speed back at 1e-3 1/s: that is no zero."""
-    _, zero_eigenvalues, found, values = bundled(name)
+    _, zero_eigenvalues, result, values = bundled(name)
     assert zero_eigenvalues.rotation
     assert zero_eigenvalues.common_speed is common
     near = np.sum((values.real > -1e-4) & (np.abs(values.imag) < 0.2 * np.pi))
-    assert zero_eigenvalues.count == found.near_zero == near == 1 + common
-    assert found.growing_slowly == 0
+    assert zero_eigenvalues.count == result.near_zero == near == 1 + common
+    assert result.growing_slowly == 0
 
 
 @pytest.mark.parametrize("names", ["ab", "abc"])
 def test_integral_exciters_that_share_a_bus_trade_output(tmp_path: Path, names: str) -> None:
     """As many ways as there are units, less one; gains need not be equal."""
     case = units(tmp_path, names, b={"KIR": 2.0, "KPR": 8.0})
-    plant, zero_eigenvalues, found, values = seen(case)
+    plant, zero_eigenvalues, result, values = seen(case)
     machines = tuple(f"G1{k}" for k in names)
     assert zero_eigenvalues.shared_bus == {"1": (machines, len(names) - 1)}
     assert np.max(np.abs(zero_eigenvalues.rows.toarray() @ plant.state_matrix())) < 1e-12
     near = (values.real > -1e-4) & (np.abs(values.imag) < 0.2 * np.pi)
-    assert zero_eigenvalues.count == found.near_zero == np.sum(near) == 2 + len(names) - 1
+    assert zero_eigenvalues.count == result.near_zero == np.sum(near) == 2 + len(names) - 1
     assert np.sum(np.abs(values[near]) < ZERO_EIGENVALUE) >= len(names) - 1
     assert np.all(
         np.abs(values[near]) < 1e-5
     )  # QR has the double zero of a common speed to a root of its rounding
-    assert found.growing_slowly == 0
-    (said,) = (line for line in found.remarks if line.startswith("shared buses"))
+    assert result.growing_slowly == 0
+    (said,) = (line for line in result.remarks if line.startswith("shared buses"))
     assert f"{len(names) - 1} at bus 1 (G1a, G1b" in said
     assert "no instability" in said
 
 
 def test_one_of_two_with_proportional_action_leaves_none(tmp_path: Path) -> None:
-    _, zero_eigenvalues, found, values = seen(units(tmp_path, "ab", b={"KIR": 0.0, "KPR": 200.0, "KIM": 0.0}))
+    _, zero_eigenvalues, result, values = seen(
+        units(tmp_path, "ab", b={"KIR": 0.0, "KPR": 200.0, "KIM": 0.0})
+    )
     assert zero_eigenvalues.shared_bus == {}
-    assert found.near_zero == zero_eigenvalues.count
+    assert result.near_zero == zero_eigenvalues.count
     assert zero_eigenvalues.count - len(zero_eigenvalues.resting) == 2
     assert np.sum(np.abs(values) < 1e-5) == zero_eigenvalues.count
 
 
 def test_an_instability_beside_them_is_not_hidden(tmp_path: Path) -> None:
     """A regulator whose integral acts the wrong way runs away: one eigenvalue more than stand at 0."""
-    _, zero_eigenvalues, found, values = seen(units(tmp_path, "abc", c={"KIR": -20.0}))
+    _, zero_eigenvalues, result, values = seen(units(tmp_path, "abc", c={"KIR": -20.0}))
     grows = np.sum((values.real > 1e-4) & (np.abs(values.imag) < 0.2 * np.pi))
     assert grows > 0
-    assert found.near_zero == zero_eigenvalues.count + grows
-    assert found.growing_slowly == grows
-    assert any("and 1 grow: unstable" in line for line in found.remarks)
+    assert result.near_zero == zero_eigenvalues.count + grows
+    assert result.growing_slowly == grows
+    assert any("and 1 grow: unstable" in line for line in result.remarks)

@@ -33,17 +33,17 @@ def margins(problem: Problem, solution: Solution) -> list[float]:
 
 def multiplier_gradient(problem: Problem, Z: tuple[np.ndarray, ...]) -> dict[str, np.ndarray | float]:
     """F*(Z) by variable, straight from the terms."""
-    found: dict[str, np.ndarray | float] = {v.name: np.zeros((v.rows, v.cols)) for v in problem.variables}
-    found |= dict.fromkeys(problem.scalars, 0.0)
+    result: dict[str, np.ndarray | float] = {v.name: np.zeros((v.rows, v.cols)) for v in problem.variables}
+    result |= dict.fromkeys(problem.scalars, 0.0)
     for block, W in zip(problem.blocks, Z, strict=True):
         for t in block.terms:
-            found[t.variable] = found[t.variable] + 2 * (t.left.conj().T @ W @ t.right.conj().T).real
+            result[t.variable] = result[t.variable] + 2 * (t.left.conj().T @ W @ t.right.conj().T).real
         for name, D in block.scalars.items():
-            found[name] = found[name] + float(np.sum(D.conj() * W).real)
+            result[name] = result[name] + float(np.sum(D.conj() * W).real)
     for v in problem.variables:
         if v.symmetric:
-            found[v.name] = (found[v.name] + found[v.name].T) / 2
-    return found
+            result[v.name] = (result[v.name] + result[v.name].T) / 2
+    return result
 
 
 def mixed_problem(rng: np.random.Generator) -> Problem:
@@ -120,10 +120,10 @@ def test_largest_eigenvalue_of_a_complex_hermitian_matrix() -> None:
     M = rng.standard_normal((6, 6)) + 1j * rng.standard_normal((6, 6))
     M = M + M.conj().T
     problem = Problem((), ("t",), (BlockLMI("M", -M, (), {"t": np.eye(6)}),), {}, {"t": 1.0})
-    found = solve_structured(problem)
+    solution = solve_structured(problem)
     top = float(np.linalg.eigvalsh(M)[-1])
-    assert found.status == "optimal"
-    assert 0.0 < found.scalars["t"] - top < 1e-7 * (1.0 + abs(top))
+    assert solution.status == "optimal"
+    assert 0.0 < solution.scalars["t"] - top < 1e-7 * (1.0 + abs(top))
 
 
 def test_lyapunov_equation_as_the_least_trace() -> None:
@@ -131,11 +131,11 @@ def test_lyapunov_equation_as_the_least_trace() -> None:
     A = rng.standard_normal((5, 5)) - 4.0 * np.eye(5)
     block = BlockLMI("Lyapunov", -np.eye(5), (Term("P", -np.eye(5), A),))
     problem = Problem((MatrixVariable("P", 5, 5, True),), (), (block,), {"P": np.eye(5)})
-    found = solve_structured(problem)
+    solution = solve_structured(problem)
     P = scipy.linalg.solve_continuous_lyapunov(A.T, -np.eye(5))
-    assert found.status == "optimal"
-    assert found.objective == pytest.approx(np.trace(P), rel=2e-7)
-    assert found.values["P"] == pytest.approx(P, abs=1e-5)
+    assert solution.status == "optimal"
+    assert solution.objective == pytest.approx(np.trace(P), rel=2e-7)
+    assert solution.values["P"] == pytest.approx(P, abs=1e-5)
 
 
 def test_matrix_dilation_with_a_rectangular_unknown() -> None:
@@ -147,10 +147,10 @@ def test_matrix_dilation_with_a_rectangular_unknown() -> None:
     left, right = np.eye(14)[:, 3:8], np.eye(14)[12:14]
     block = BlockLMI("norm", constant, (Term("V", left, right),), {"t": np.eye(14)})
     problem = Problem((MatrixVariable("V", 5, 2, False),), ("t",), (block,), {}, {"t": 1.0})
-    found = solve_structured(problem)
+    solution = solve_structured(problem)
     level = max(np.linalg.norm(np.hstack([A, B]), 2), np.linalg.norm(np.vstack([A, C]), 2))
-    assert found.status == "optimal"
-    assert found.scalars["t"] == pytest.approx(level, rel=1e-7)
+    assert solution.status == "optimal"
+    assert solution.scalars["t"] == pytest.approx(level, rel=1e-7)
 
 
 @pytest.mark.parametrize("zeta", [0.05, 0.3, 0.6])
@@ -164,30 +164,30 @@ def test_bounded_real_lemma_on_an_oscillator(zeta: float) -> None:
         BlockLMI("bounded real", constant, (term,), {"g": np.diag([0.0, 0.0, 1.0, 1.0])}),
         BlockLMI("X > 0", np.zeros((2, 2)), (Term("X", np.eye(2) / 2, np.eye(2)),)),
     )
-    found = solve_structured(Problem((MatrixVariable("X", 2, 2, True),), ("g",), blocks, {}, {"g": 1.0}))
-    assert found.scalars["g"] == pytest.approx(0.5 / (zeta * np.sqrt(1.0 - zeta**2)), rel=1e-6)
+    solution = solve_structured(Problem((MatrixVariable("X", 2, 2, True),), ("g",), blocks, {}, {"g": 1.0}))
+    assert solution.scalars["g"] == pytest.approx(0.5 / (zeta * np.sqrt(1.0 - zeta**2)), rel=1e-6)
 
 
 @pytest.mark.parametrize("order", [6, 8])
 def test_mixed_sensitivity_with_region_keeps_every_promise_of_an_optimum(order: int) -> None:
     problem = output_feedback_problem(sensitivity_plant(order))
-    found = solve_structured(problem)
-    assert found.status == "optimal"
-    assert 0.0 < found.gap < 1e-7
-    assert min(margins(problem, found)) > 0.0
-    assert found.multipliers is not None
-    assert all(np.linalg.eigvalsh(Z)[0] > -1e-12 * np.abs(Z).max() for Z in found.multipliers)
-    gradient = multiplier_gradient(problem, found.multipliers)
+    solution = solve_structured(problem)
+    assert solution.status == "optimal"
+    assert 0.0 < solution.gap < 1e-7
+    assert min(margins(problem, solution)) > 0.0
+    assert solution.multipliers is not None
+    assert all(np.linalg.eigvalsh(Z)[0] > -1e-12 * np.abs(Z).max() for Z in solution.multipliers)
+    gradient = multiplier_gradient(problem, solution.multipliers)
     for v in problem.variables:
         wanted = problem.objective_matrices.get(v.name, np.zeros((v.rows, v.cols)))
         assert gradient[v.name] == pytest.approx(wanted, abs=1e-8)
     assert gradient["gamma"] == pytest.approx(1.0, rel=1e-8)
     dual = -sum(
         float(np.sum(b.constant.conj() * Z).real)
-        for b, Z in zip(problem.blocks, found.multipliers, strict=True)
+        for b, Z in zip(problem.blocks, solution.multipliers, strict=True)
     )
-    assert found.objective - dual == pytest.approx(
-        found.gap * (1.0 + abs(found.objective)), rel=0.5, abs=1e-8
+    assert solution.objective - dual == pytest.approx(
+        solution.gap * (1.0 + abs(solution.objective)), rel=0.5, abs=1e-8
     )
 
 
@@ -208,12 +208,14 @@ def test_same_optimum_in_congruent_and_scaled_states() -> None:
 def test_random_plants_reach_the_riccati_level_and_never_less(seed: int) -> None:
     plant = osborne(random_plant(seed))
     problem = output_feedback_problem(plant, damping_ratio=None, radius=None, weight=1e-9)
-    found = solve_structured(problem)
+    solution = solve_structured(problem)
     level = riccati_level(plant)
-    assert found.status in ("optimal", "almost optimal")
-    assert min(margins(problem, found)) > -1e-14 * max(float(np.abs(V).max()) for V in found.values.values())
-    assert found.scalars["gamma"] == pytest.approx(level, rel=1e-4)
-    assert found.scalars["gamma"] > level * (1.0 - 1e-7)
+    assert solution.status in ("optimal", "almost optimal")
+    assert min(margins(problem, solution)) > -1e-14 * max(
+        float(np.abs(V).max()) for V in solution.values.values()
+    )
+    assert solution.scalars["gamma"] == pytest.approx(level, rel=1e-4)
+    assert solution.scalars["gamma"] > level * (1.0 - 1e-7)
 
 
 @pytest.mark.slow
@@ -226,12 +228,12 @@ def test_a_hundred_random_plants() -> None:
     for seed in range(100):
         plant = osborne(random_plant(seed))
         problem = output_feedback_problem(plant, damping_ratio=None, radius=None, weight=0.0)
-        found = solve_structured(problem)
+        solution = solve_structured(problem)
         level = riccati_level(plant)
-        assert found.status != "infeasible"
-        solved += found.status in ("optimal", "almost optimal")
+        assert solution.status != "infeasible"
+        solved += solution.status in ("optimal", "almost optimal")
         # level 1e-6 is the floor of the bisection: disturbances that can be rejected altogether
-        above = (found.scalars["gamma"] - level) / level if level > 1e-5 else 0.0
+        above = (solution.scalars["gamma"] - level) / level if level > 1e-5 else 0.0
         assert above > -1e-6
         close += above < 1e-4
         near += above < 1e-2
@@ -295,9 +297,9 @@ def scalar_bounds_that_exclude_each_other() -> Problem:
 )
 def test_infeasible_problems_come_with_a_certificate(make) -> None:  # type: ignore[no-untyped-def]
     problem = make()
-    found = solve_structured(problem)
-    assert found.status == "infeasible", found.message
-    Z = found.multipliers
+    solution = solve_structured(problem)
+    assert solution.status == "infeasible", solution.message
+    Z = solution.multipliers
     assert Z is not None
     assert all(np.linalg.eigvalsh(W)[0] > -1e-13 * np.abs(W).max() for W in Z)
     value = sum(float(np.sum(b.constant.conj() * W).real) for b, W in zip(problem.blocks, Z, strict=True))
@@ -321,9 +323,9 @@ def test_rounding_of_the_data_proves_nothing() -> None:
 
 
 def test_weak_infeasibility_is_left_open_but_said() -> None:
-    found = solve_structured(sector_beyond_an_uncontrollable_mode(bounded=False))
-    assert found.status == "failed"
-    assert "a feasible point would need an entry above" in found.message
+    solution = solve_structured(sector_beyond_an_uncontrollable_mode(bounded=False))
+    assert solution.status == "failed"
+    assert "a feasible point would need an entry above" in solution.message
 
 
 def test_a_feasible_problem_without_objective_gives_a_strictly_feasible_point() -> None:
@@ -333,9 +335,9 @@ def test_a_feasible_problem_without_objective_gives_a_strictly_feasible_point() 
         BlockLMI("decay", np.zeros((2, 2)), (Term("P", -np.eye(2), A),)),
     )
     problem = Problem((MatrixVariable("P", 2, 2, True),), (), blocks)
-    found = solve_structured(problem)
-    assert found.status == "optimal"
-    assert min(margins(problem, found)) > 0.0
+    solution = solve_structured(problem)
+    assert solution.status == "optimal"
+    assert min(margins(problem, solution)) > 0.0
 
 
 def test_unbounded_objectives_are_not_called_solved() -> None:
@@ -362,9 +364,9 @@ def test_callback_sees_every_iteration_and_can_stop() -> None:
         seen.append(progress)
         return len(seen) == 4
 
-    found = solve_structured(output_feedback_problem(sensitivity_plant(6)), callback=watch)
+    solution = solve_structured(output_feedback_problem(sensitivity_plant(6)), callback=watch)
     assert [p.iteration for p in seen] == [1, 2, 3, 4]
-    assert found.status == "failed"
+    assert solution.status == "failed"
 
 
 @pytest.mark.parametrize(

@@ -58,11 +58,11 @@ def test_resolvent_and_determinant_are_those_of_the_whole(name: str) -> None:
     n = plant.nstates
     b = np.random.default_rng(2).standard_normal(n)
     shifted, whole = Shifted(plant, s), s * np.eye(n) - A
-    for found, exact in (
+    for result, exact in (
         (shifted.solve(b), np.linalg.solve(whole, b)),
         (shifted.solve_left(b), np.linalg.solve(whole.T, b)),
     ):
-        assert np.linalg.norm(found - exact) < 1e-10 * np.linalg.norm(exact)
+        assert np.linalg.norm(result - exact) < 1e-10 * np.linalg.norm(exact)
     sign, size = np.linalg.slogdet(whole)
     log = network_logarithm(plant, s) - plant.at_rest.logarithm() + np.sum(np.log(s - plant.device_poles))
     assert log.real == pytest.approx(size, abs=1e-9)
@@ -72,14 +72,14 @@ def test_resolvent_and_determinant_are_those_of_the_whole(name: str) -> None:
 @pytest.mark.parametrize("below", [0.08, 0.2, 0.6])
 @pytest.mark.parametrize("name", CASES)
 def test_found_counted_and_dense_are_as_many(name: str, below: float) -> None:
-    found = all_modes(plant_of(name), case_of(name).areas, band_hz=(0.1, 2.5), below=below)
+    result = all_modes(plant_of(name), case_of(name).areas, band_hz=(0.1, 2.5), below=below)
     values = np.linalg.eigvals(state_matrix(name))
     dense = values[Region((0.2 * np.pi, 5.0 * np.pi), below).holds(values)]
-    assert found.counted == len(found.modes) == len(dense)
-    for mode in found.modes:
+    assert result.counted == len(result.modes) == len(dense)
+    for mode in result.modes:
         assert np.min(np.abs(mode.eigenvalue - dense)) < 1e-8
-    assert found.residual <= 1e-9
-    assert found.rotation
+    assert result.residual <= 1e-9
+    assert result.rotation
 
 
 def test_the_count_knows_nothing_of_the_search() -> None:
@@ -100,8 +100,8 @@ def test_a_search_that_misses_looks_again(monkeypatch: pytest.MonkeyPatch) -> No
         del self.pairs[1:3]
 
     monkeypatch.setattr(Search, "everywhere", forgetful)
-    found = all_modes(plant_of("nets-nyps"), case_of("nets-nyps").areas, band_hz=(0.1, 2.5), below=0.2)
-    assert found.counted == len(found.modes) == 10
+    result = all_modes(plant_of("nets-nyps"), case_of("nets-nyps").areas, band_hz=(0.1, 2.5), below=0.2)
+    assert result.counted == len(result.modes) == 10
 
     monkeypatch.setattr(Search, "again", lambda self: False)
     with pytest.raises(ModeError, match="8 modes found but 10 counted"):
@@ -132,12 +132,12 @@ def test_twins_give_a_mode_as_often_as_it_is_there(units: int) -> None:
     plant = sparse_linear_plant(case, default_cache())
     region = Region((0.2 * np.pi, 5.0 * np.pi), 0.5)
     values = np.linalg.eigvals(plant.state_matrix())
-    found = all_modes(plant, case.areas, band_hz=(0.1, 2.5), below=0.5)
-    assert found.counted == len(found.modes) == np.sum(region.holds(values)) == 2 + units
-    ours = sorted(mode.eigenvalue.imag for mode in found.modes)
+    result = all_modes(plant, case.areas, band_hz=(0.1, 2.5), below=0.5)
+    assert result.counted == len(result.modes) == np.sum(region.holds(values)) == 2 + units
+    ours = sorted(mode.eigenvalue.imag for mode in result.modes)
     assert min(b - a for a, b in itertools.pairwise(ours)) < 1e-8  # the pair
-    V = np.array([mode.right for mode in found.modes]).T
-    W = np.array([mode.left for mode in found.modes])
+    V = np.array([mode.right for mode in result.modes]).T
+    W = np.array([mode.left for mode in result.modes])
     assert np.linalg.matrix_rank(V, tol=1e-3) == 2 + units
     assert np.max(np.abs(W @ V - np.eye(2 + units))) < 1e-6
 
@@ -150,16 +150,16 @@ def test_a_mode_on_the_line_moves_it_and_says_so() -> None:
         ((mode.frequency_hz, 2.5), 0.2),
         ((0.1, mode.frequency_hz), 0.2),
     ):
-        found = all_modes(plant, areas, band_hz=band, below=below)
-        assert [m.name for m in found.modes] == ["inter-area"]
-        assert len(found.moved) == 1
-        assert "a mode lies on that line" in found.moved[0]
+        result = all_modes(plant, areas, band_hz=band, below=below)
+        assert [m.name for m in result.modes] == ["inter-area"]
+        assert len(result.moved) == 1
+        assert "a mode lies on that line" in result.moved[0]
 
 
 def test_names_and_shapes_agree_with_the_named_swing_modes() -> None:
     swings = modes_of(linear_matrices(case_of("kundur-dc"), default_cache()), case_of("kundur-dc").areas)
-    found = all_modes(plant_of("kundur-dc"), case_of("kundur-dc").areas, band_hz=(0.3, 2.5), below=0.6)
-    by_name = {mode.name: mode for mode in found.modes}
+    result = all_modes(plant_of("kundur-dc"), case_of("kundur-dc").areas, band_hz=(0.3, 2.5), below=0.6)
+    by_name = {mode.name: mode for mode in result.modes}
     assert set(swings) <= set(by_name)
     for name, mode in swings.items():
         ours = by_name[name]
@@ -188,8 +188,8 @@ def test_a_region_that_is_none_is_refused(band: tuple[float, float], below: floa
 @pytest.mark.parametrize("path", ["machines.G1.exciter.KA", "machines.G2.H"])
 def test_sensitivities_are_those_of_the_dense_plant(path: str) -> None:
     case = case_of("two-area-thesis")
-    found = all_modes(plant_of("two-area-thesis"), case.areas, band_hz=(0.1, 2.5), below=0.2)
-    ours = all_mode_sensitivities(case, found.modes, [path], default_cache())[path]["inter-area"]
+    result = all_modes(plant_of("two-area-thesis"), case.areas, band_hz=(0.1, 2.5), below=0.2)
+    ours = all_mode_sensitivities(case, result.modes, [path], default_cache())[path]["inter-area"]
     dense = parameter_sensitivities(case, [path], default_cache())[path]["inter-area"]
     assert ours.value == dense.value
     assert ours.derivative == pytest.approx(dense.derivative, rel=1e-6, abs=1e-10)

@@ -37,27 +37,27 @@ def test_a_common_angle_and_a_common_speed_are_no_growth() -> None:
         Q = np.linalg.qr(rng.standard_normal((5, 5)))[0]
         A = swings(-1.0)
         A[2, 2] = A[3, 3] = 0.0
-        found = growth_of(Q.T @ A @ Q, LABELS)
-        assert found.stable, found.text
+        growth = growth_of(Q.T @ A @ Q, LABELS)
+        assert growth.stable, growth.text
 
 
 @pytest.mark.parametrize("real", [1e-4, 0.0213, 3.0])
 def test_a_real_eigenvalue_that_grows_is_told(real: float) -> None:
-    found = growth_of(swings(real), LABELS)
-    assert (found.stable, found.counted) == (False, 1)
-    assert found.growing[0].eigenvalue == pytest.approx(real)
-    assert found.text.startswith("UNSTABLE: 1 of 5 eigenvalues grows: +")
-    assert "real, doubles in" in found.text
-    assert "G1.exciter.x 1.000" in found.text
+    growth = growth_of(swings(real), LABELS)
+    assert (growth.stable, growth.counted) == (False, 1)
+    assert growth.growing[0].eigenvalue == pytest.approx(real)
+    assert growth.text.startswith("UNSTABLE: 1 of 5 eigenvalues grows: +")
+    assert "real, doubles in" in growth.text
+    assert "G1.exciter.x 1.000" in growth.text
 
 
 def test_a_pair_that_grows_is_told_once_and_counted_twice() -> None:
     A = np.array([[0.3, 5.0], [-5.0, 0.3]])
-    found = growth_of(A, ["a", "b"])
-    assert (found.counted, len(found.growing)) == (2, 1)
-    assert found.growing[0].eigenvalue == pytest.approx(0.3 + 5.0j)
-    assert "0.7958 Hz, damping ratio -0.0599" in found.text
-    assert found.as_dict()["stable"] is False
+    growth = growth_of(A, ["a", "b"])
+    assert (growth.counted, len(growth.growing)) == (2, 1)
+    assert growth.growing[0].eigenvalue == pytest.approx(0.3 + 5.0j)
+    assert "0.7958 Hz, damping ratio -0.0599" in growth.text
+    assert growth.as_dict()["stable"] is False
 
 
 def test_a_plant_without_states_grows_nowhere() -> None:
@@ -84,9 +84,9 @@ def test_what_no_search_finds_is_counted_all_the_same(monkeypatch: pytest.Monkey
     monkeypatch.setattr(growth, "WHOLE", 0)
     monkeypatch.setattr(growth, "_DENSE", 0)
     monkeypatch.setattr(growth, "_CENTRES", ())
-    found = growth_of_plant(plant, OpenLoop(plant))
-    assert not found.stable
-    assert "2 counted that no search found" in found.text
+    result = growth_of_plant(plant, OpenLoop(plant))
+    assert not result.stable
+    assert "2 counted that no search found" in result.text
 
 
 @pytest.mark.parametrize("name", ["two-area-thesis", "new-england", "nets-nyps-no-pss"])
@@ -100,10 +100,10 @@ def test_both_forms_name_the_swing_modes_alike(name: str) -> None:
     named = modes_of(system, case.areas)  # type: ignore[arg-type]
     assert named.growth is not None
     assert named.growth.counted == growth_of_plant(plant).counted
-    found = {mode.name: mode for mode in all_modes(plant, case.areas, band_hz=(0.05, 4.0), below=0.5).modes}
-    assert set(named) <= set(found)
-    assert all(abs(found[n].eigenvalue - named[n].eigenvalue) < 1e-6 for n in named)
-    others = set(found) - set(named)
+    result = {mode.name: mode for mode in all_modes(plant, case.areas, band_hz=(0.05, 4.0), below=0.5).modes}
+    assert set(named) <= set(result)
+    assert all(abs(result[n].eigenvalue - named[n].eigenvalue) < 1e-6 for n in named)
+    others = set(result) - set(named)
     assert all(n.startswith(("control", "common frequency")) for n in others)
 
 

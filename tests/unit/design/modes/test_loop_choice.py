@@ -21,19 +21,19 @@ from interarea.models.grid.powerflow import solve_powerflow
 def grid(name: str) -> tuple[SparsePlant, AllModes, np.ndarray]:
     case = load_case(name)
     plant = sparse_linear_plant(case, default_cache())
-    found = all_modes(plant, case.areas, band_hz=(0.1, 2.5), below=0.2)
-    return plant, found, solve_powerflow(case).voltages
+    modes = all_modes(plant, case.areas, band_hz=(0.1, 2.5), below=0.2)
+    return plant, modes, solve_powerflow(case).voltages
 
 
 def chosen(name: str, **options) -> LoopChoice:  # type: ignore[no-untyped-def]
-    plant, found, _ = grid(name)
-    return choose_loops(plant, found.modes, load_case(name).areas, **options)
+    plant, result, _ = grid(name)
+    return choose_loops(plant, result.modes, load_case(name).areas, **options)
 
 
 def shown(name: str) -> dict[str, np.ndarray]:
-    plant, found, _ = grid(name)
-    V = np.array([m.right for m in found.modes]).T
-    values = np.array([m.eigenvalue for m in found.modes])
+    plant, result, _ = grid(name)
+    V = np.array([m.right for m in result.modes]).T
+    values = np.array([m.eigenvalue for m in result.modes])
     signals = signals_of(plant, V, values, load_case(name).areas, range(len(values)))
     assert {s.kind for s in signals} == set(KINDS)
     return {s.name: s.shows for s in signals}
@@ -46,12 +46,12 @@ def test_a_residue_is_how_a_closed_loop_moves_the_mode() -> None:
     b = m.B[:, list(m.input_labels).index(best.actuator)]
     one, other = best.signal.split("_")[1:]
     rows = [m.C[list(m.output_labels).index(f"{g}_dw")] for g in (one, other)]
-    found = next(mode for mode in grid("nets-nyps")[1].modes if mode.name == "inter-area 2")
+    result = next(mode for mode in grid("nets-nyps")[1].modes if mode.name == "inter-area 2")
     k = 1e-4 / abs(best.residue)
     ends = []
     for gain in (k, -k):
         values = np.linalg.eigvals(m.A + gain * np.outer(b, rows[0] - rows[1]))
-        ends.append(values[np.argmin(np.abs(values - found.eigenvalue))])
+        ends.append(values[np.argmin(np.abs(values - result.eigenvalue))])
     assert (ends[0] - ends[1]) / (2.0 * k) == pytest.approx(best.residue, rel=1e-5)
     # a gain with the phase that is to make up moves it straight to the left
     turned = best.residue * np.exp(1j * np.radians(best.lead_deg))
@@ -62,15 +62,15 @@ def test_branch_power_is_the_fmus_tie_power() -> None:
     case = load_case("two-area-thesis")
     m = linear_matrices(case, default_cache())
     C = m.C[list(m.output_labels).index("tie_p")]
-    _, found, _ = grid("two-area-thesis")
+    _, result, _ = grid("two-area-thesis")
     ours = sum(shown("two-area-thesis")[f"power_{name}"] for name in case.tie.branches)
-    exact = np.array([C @ mode.right for mode in found.modes])
+    exact = np.array([C @ mode.right for mode in result.modes])
     assert np.max(np.abs(ours - exact) / np.abs(exact)) < 1e-9
 
 
 def test_angles_frequencies_and_currents_are_differences_of_the_voltages() -> None:
-    plant, found, volts = grid("nets-nyps")
-    signals, mode, h = shown("nets-nyps"), found.modes[1], 1e-6
+    plant, result, volts = grid("nets-nyps")
+    signals, mode, h = shown("nets-nyps"), result.modes[1], 1e-6
     place = {name: k for k, name in enumerate(plant.bus_names)}
 
     def amplitude(read) -> complex:  # type: ignore[no-untyped-def]
@@ -105,10 +105,10 @@ def test_a_delay_turns_and_scales_as_it_should() -> None:
 
 def test_the_score_of_a_set_is_the_least_over_modes_of_its_largest_index() -> None:
     choice = chosen("nets-nyps", kinds=["speed"], together=2, most=200)
-    plant, found, _ = grid("nets-nyps")
+    plant, result, _ = grid("nets-nyps")
     signals = {n: z for n, z in shown("nets-nyps").items() if n.startswith("dw") or n.endswith("_dw")}
-    reach = np.array([m.left for m in found.modes]) @ plant.Bu.toarray()
-    targets = [k for k, m in enumerate(found.modes) if m.name in choice.targets]
+    reach = np.array([m.left for m in result.modes]) @ plant.Bu.toarray()
+    targets = [k for k, m in enumerate(result.modes) if m.name in choice.targets]
     assert len(targets) == 4
     size = np.abs(np.array([z[targets] for z in signals.values()])).max(axis=0)[:, None] * np.abs(
         reach[targets]
@@ -142,15 +142,15 @@ def test_a_mistake_names_itself(options: dict, said: str) -> None:  # type: igno
 
 
 def test_no_inter_area_mode_and_an_unreachable_one_are_told() -> None:
-    plant, found, _ = grid("nets-nyps")
-    local = [m for m in found.modes if m.name.startswith("local")]
+    plant, result, _ = grid("nets-nyps")
+    local = [m for m in result.modes if m.name.startswith("local")]
     with pytest.raises(ModeError, match=r"no inter-area mode in this band .* there are: local"):
         choose_loops(plant, local, load_case("nets-nyps").areas)
     blind = SparsePlant(
         **{**{f: getattr(plant, f) for f in plant.__dataclass_fields__}, "Bu": 0.0 * plant.Bu}
     )
     with pytest.raises(ModeError, match="no actuator with a signal reaches and shows it"):
-        choose_loops(blind, found.modes, load_case("nets-nyps").areas)
+        choose_loops(blind, result.modes, load_case("nets-nyps").areas)
 
 
 @pytest.mark.parametrize("name", ["two-area-thesis", "kundur-dc", "new-england"])

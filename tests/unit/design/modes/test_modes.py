@@ -100,8 +100,8 @@ def test_spring_network_of_three_areas_and_seven_machines() -> None:
     )
     # closed form: lambda^2 + 0.1 lambda + mu = 0 for each eigenvalue mu of the springs
     springs = np.sort(np.linalg.eigvalsh(laplacian(W)))[1:]
-    found = sorted(m.eigenvalue.imag for m in modes.values())
-    assert found == pytest.approx(np.sqrt(springs - 0.0025), rel=1e-9)
+    result = sorted(m.eigenvalue.imag for m in modes.values())
+    assert result == pytest.approx(np.sqrt(springs - 0.0025), rel=1e-9)
 
 
 def test_two_machines_have_one_mode() -> None:
@@ -163,8 +163,8 @@ def test_names_in_a_closed_loop_are_those_followed_from_the_open_one(
     for gain in (0.25, 0.5, 0.75, 1.0):
         closed, K = closed_loop(open_loop, name, gain, lost)
         followed = swing_poles(open_loop, K, modes_of(open_loop, AREAS), lost=lost)
-        found = modes_of(closed, AREAS)
-        assert {n: m.eigenvalue for n, m in found.items()} == {
+        modes = modes_of(closed, AREAS)
+        assert {n: m.eigenvalue for n, m in modes.items()} == {
             n: pytest.approx(complex(z.real, abs(z.imag)), abs=1e-6) for n, z in followed.items()
         }
 
@@ -176,12 +176,12 @@ def test_a_name_that_fits_another_mode_as_well_is_told() -> None:
     for name, lost in itertools.product(("robust", "robust_linear", "robust_latency"), ((), ("G2_dw",))):
         closed, K = closed_loop(open_loop, name, 2.0, lost)
         followed = swing_poles(open_loop, K, modes_of(open_loop, AREAS), lost=lost)
-        found = modes_of(closed, AREAS)
+        modes = modes_of(closed, AREAS)
         for mode in followed:
             poles = [complex(z.real, abs(z.imag)) for z in followed.values()]
-            if min(abs(found[mode].eigenvalue - p) for p in poles) > 1e-6:
+            if min(abs(modes[mode].eigenvalue - p) for p in poles) > 1e-6:
                 differing += 1
-                assert f"{mode} could as well be the mode at" in found[mode].caveat
+                assert f"{mode} could as well be the mode at" in modes[mode].caveat
     assert differing > 0
     assert not any(m.caveat for m in modes_of(open_loop, AREAS).values())
 

@@ -102,8 +102,8 @@ def test_an_unstable_grid_is_told() -> None:
 def test_the_door_takes_a_case_or_a_system() -> None:
     import interarea as ia
 
-    found = ia.reduce("two-area-thesis", 20, inputs=["G4_vs"], outputs={"y": {"G2_dw": 1.0, "G4_dw": -1.0}})
-    assert isinstance(found.system, control.StateSpace)
-    assert found.system.nstates == 20
+    result = ia.reduce("two-area-thesis", 20, inputs=["G4_vs"], outputs={"y": {"G2_dw": 1.0, "G4_dw": -1.0}})
+    assert isinstance(result.system, control.StateSpace)
+    assert result.system.nstates == 20
     with pytest.raises(ReductionError, match="method = 'hankel', allowed for a case: balanced"):
         ia.reduce("two-area-thesis", 20, method="hankel")

@@ -54,9 +54,11 @@ def test_on_a_large_grid_the_least_damped_inter_area_mode_gains_a_twentieth(cach
     least = min(mode.damping_ratio for mode in point.modes.values())
     assert least == pytest.approx(0.0942, abs=1e-4)
     codes = ["s100", "s150", *(f"s150+L:{signal}" for signal in table.signals)]
-    found = judge_family({"base": point.judged}, K, [condition_of_many(c, table.signals) for c in codes])
-    assert all(row.stable for row in found.rows)
-    assert found.inter_area >= least + 0.05
+    certificate = judge_family(
+        {"base": point.judged}, K, [condition_of_many(c, table.signals) for c in codes]
+    )
+    assert all(row.stable for row in certificate.rows)
+    assert certificate.inter_area >= least + 0.05
 
 
 @pytest.mark.slow
@@ -70,17 +72,17 @@ def test_it_raises_the_inter_area_damping_with_any_one_signal_lost(
     modes = {name: modes_of(point.searched, table.grid.areas) for name, point in points.items()}
     # latencies between those of the design too
     codes = ("N", "s150", *(f"s{ms}+L:{signal}" for ms in (50, 200) for signal in table.signals))
-    found = judge_family(
+    certificate = judge_family(
         plants,
         K,
         [condition_of_many(code, table.signals) for code in codes],
         bands_hz={name: inter_area_band(each) for name, each in modes.items()},
     )
-    assert all(row.stable for row in found.rows)
+    assert all(row.stable for row in certificate.rows)
     least = min(
         m.damping_ratio for each in modes.values() for n, m in each.items() if n.startswith("inter-area")
     )
     local = min(m.damping_ratio for each in modes.values() for n, m in each.items() if n.startswith("local"))
     assert least < 0.09
-    assert found.inter_area >= 2.0 * least
-    assert found.worst_swing >= local_share * local
+    assert certificate.inter_area >= 2.0 * least
+    assert certificate.worst_swing >= local_share * local

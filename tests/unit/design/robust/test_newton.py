@@ -152,7 +152,7 @@ def test_an_operating_point_that_is_asked_more_is_that_much_worse(objective: Obj
 
 
 def _staged(objective: Objective, stages: tuple[Stage, ...]) -> tuple[np.ndarray, int]:
-    theta, count, found = staged_search(
+    theta, count, result = staged_search(
         objective,
         stages,
         [],
@@ -162,16 +162,16 @@ def _staged(objective: Objective, stages: tuple[Stage, ...]) -> tuple[np.ndarray
         balanced=balanced_parameters,
         descend=lambda some, at: _descend(some, at, 1, each=60),
     )
-    assert len(found) == 1
+    assert len(result) == 1
     return theta, count
 
 
 def test_steps_never_go_up(objective: Objective) -> None:
     theta, value = _controller(objective, 5), np.inf
     for steps in (1, 3, 9):
-        found, _ = newton_descent(objective, theta, steps, balanced=balanced_parameters)
-        assert objective.value(found) < min(value, objective.value(theta))
-        value = objective.value(found)
+        result, _ = newton_descent(objective, theta, steps, balanced=balanced_parameters)
+        assert objective.value(result) < min(value, objective.value(theta))
+        value = objective.value(result)
 
 
 def test_a_later_stage_goes_on_from_the_one_before(objective: Objective) -> None:

@@ -68,7 +68,7 @@ def test_shipped_controllers_hold_their_figures_on_the_independent_model(
     name: str, codes: tuple[str, ...], worst: float, inter: float
 ) -> None:
     plants = {name: speeds_in_rad(p, OMEGA_B) for name, p in independent_family().items()}
-    found = judge_family(
+    certificate = judge_family(
         plants,
         shipped_controller(name).system,
         [condition_of(code, "G4_dw", "G2_dw") for code in codes],
@@ -77,10 +77,10 @@ def test_shipped_controllers_hold_their_figures_on_the_independent_model(
         effort_cap=0.16,
         fastest_pole=300.0,
     )
-    assert found.violations == ()
-    assert len(found.rows) == 5 * len(codes)
-    assert found.order <= 6  # what keeps K(0) = 0 counted
-    assert found.loss_criterion["G2_dw"] < 1.0
+    assert certificate.violations == ()
+    assert len(certificate.rows) == 5 * len(codes)
+    assert certificate.order <= 6  # what keeps K(0) = 0 counted
+    assert certificate.loss_criterion["G2_dw"] < 1.0
 
 
 @pytest.mark.slow
@@ -91,13 +91,13 @@ def test_two_actuators_hold_with_any_one_signal_lost() -> None:
     K = select(K, list(signals), list(K.output_labels))  # its guard looks at the tie's flow too
     losses = ["", *(f"+L:{name}" for name in signals)]
     conditions = [condition_of_many(late + lost, signals) for late in ("N", "s100") for lost in losses]
-    found = judge_family(
+    certificate = judge_family(
         plants, K, conditions, worst_swing=0.26, inter_area=0.26, effort_cap=0.16, fastest_pole=300.0
     )
-    assert found.violations == ()
-    assert len(found.rows) == 50
-    assert set(found.loss_criterion) == set(signals)
-    assert max(found.loss_criterion.values()) < 1.0
+    assert certificate.violations == ()
+    assert len(certificate.rows) == 50
+    assert set(certificate.loss_criterion) == set(signals)
+    assert max(certificate.loss_criterion.values()) < 1.0
 
 
 def test_each_of_two_actuators_sees_its_own_area_only() -> None:
@@ -122,23 +122,23 @@ def test_shipped_controllers_hold_at_operating_points_that_no_design_saw(name: s
     }
     plants = {name: speeds_in_rad(p, OMEGA_B) for name, p in unseen.items()}
     codes = ("N", "L", "s100", "L+s100")
-    found = judge_family(
+    certificate = judge_family(
         plants,
         shipped_controller(name).system,
         [condition_of(code, "G4_dw", "G2_dw") for code in codes],
         worst_swing=0.21,
     )
-    assert found.violations == ()
+    assert certificate.violations == ()
 
 
 def test_what_is_missed_is_named() -> None:
     plants = {"base": speeds_in_rad(independent_plant(), OMEGA_B)}
     K = shipped_controller("robust_linear").system
     normal = [condition_of("N", "G4_dw", "G2_dw")]
-    found = judge_family(plants, K, normal, worst_swing=0.9, effort_cap=1e-3)
-    assert not found.passed
-    assert [v.split(" is ")[0] for v in found.violations] == ["worst swing damping", "effort"]
-    assert found.violations[0].endswith("asked >= 0.9: missed in 1 of 1, most at base, N")
+    certificate = judge_family(plants, K, normal, worst_swing=0.9, effort_cap=1e-3)
+    assert not certificate.passed
+    assert [v.split(" is ")[0] for v in certificate.violations] == ["worst swing damping", "effort"]
+    assert certificate.violations[0].endswith("asked >= 0.9: missed in 1 of 1, most at base, N")
     turned = control.ss(K.A, K.B, -5.0 * K.C, K.D, inputs=K.input_labels, outputs=K.output_labels)
     assert "base, N: unstable" in judge_family(plants, turned, normal).violations
 
@@ -151,11 +151,11 @@ def test_a_small_design_raises_the_damping_of_every_model(rest: dict[str, Any]) 
         ("G2_dw", "G4_dw"), ("G4_vs",), conditions, order=4, starts=1, evaluations=300, polishes=0, **rest
     )
     made = design_robust(plants, spec, OMEGA_B)
-    found = judge_family({"base": speeds_in_rad(plants["base"], OMEGA_B)}, made.system, conditions)
-    assert found.passed
-    assert found.inter_area >= 0.15  # open loop 0.081
-    assert found.effort <= 0.17  # the cap of 0.15 is a penalty, not a wall
-    assert found.order == 4
+    certificate = judge_family({"base": speeds_in_rad(plants["base"], OMEGA_B)}, made.system, conditions)
+    assert certificate.passed
+    assert certificate.inter_area >= 0.15  # open loop 0.081
+    assert certificate.effort <= 0.17  # the cap of 0.15 is a penalty, not a wall
+    assert certificate.order == 4
     # the washout blocks a constant speed deviation
     at_rest = made.system.D - made.system.C @ np.linalg.solve(made.system.A, made.system.B)
     assert np.abs(at_rest).max() < 1e-12
@@ -224,9 +224,9 @@ def test_certificate_from_the_fmu_alone(cache: Path) -> None:
 def test_certify_judges_an_fmu_by_its_own_record(cache: Path, tmp_path: Path) -> None:
     shipped = shipped_controller("robust_linear")
     path, out = controller_fmu(shipped, OMEGA_B, cache), tmp_path / "new" / "judged.json"
-    found = CliRunner().invoke(app, ["certify", str(path), "--json", "--out", str(out)])
-    assert found.exit_code == 0, found.output
-    record = json.loads(found.stdout)
+    result = CliRunner().invoke(app, ["certify", str(path), "--json", "--out", str(out)])
+    assert result.exit_code == 0, result.output
+    record = json.loads(result.stdout)
     assert record["passed"] is True
     assert shipped.certificate is not None
     assert record["worst_swing"] == pytest.approx(shipped.certificate["worst_swing"], abs=1e-6)

@@ -66,32 +66,32 @@ def test_the_sentence_says_what_the_closed_form_says(
     own: float, afar: float, rival: float | None, said: str
 ) -> None:
     """A speed fed back with gain g adds g / 8 to the damping of this mode: 2 zeta omega = .4 + g."""
-    found = signal_worth(
+    result = signal_worth(
         {"base": _oscillator(0.05, (1.0, 1.0))},
         _gain(own, afar),
         [Condition("N"), Condition("L", ("B_dw",))],
         None if rival is None else _gain(rival, 0.0),
     )
-    assert found.open_loop.inter_area == pytest.approx(0.05)
-    assert found.whole.inter_area == pytest.approx(0.05 + (own + afar) / 8.0)
-    assert found.sentence.startswith(said)
+    assert result.open_loop.inter_area == pytest.approx(0.05)
+    assert result.whole.inter_area == pytest.approx(0.05 + (own + afar) / 8.0)
+    assert result.sentence.startswith(said)
     if rival is not None:
-        assert found.adds == pytest.approx((own + afar - max(rival, own)) / 8.0)
-        (alone,) = (row for row in found.masked if row.name == OWN_MASKED)
+        assert result.adds == pytest.approx((own + afar - max(rival, own)) / 8.0)
+        (alone,) = (row for row in result.masked if row.name == OWN_MASKED)
         assert alone.inter_area == pytest.approx(0.05 + own / 8.0)
 
 
 def test_a_rival_that_is_unstable_is_no_rival() -> None:
     K, rival = _gain(0.0, 1.6), _gain(-2.0, 0.0)
-    found = signal_worth({"base": _oscillator(0.05, (1.0, 1.0))}, K, [Condition("N")], rival)
-    assert found.rival is not None
-    assert not found.rival.stable
-    assert found.best_own is not None
-    assert found.best_own.name == OWN_MASKED
+    result = signal_worth({"base": _oscillator(0.05, (1.0, 1.0))}, K, [Condition("N")], rival)
+    assert result.rival is not None
+    assert not result.rival.stable
+    assert result.best_own is not None
+    assert result.best_own.name == OWN_MASKED
 
 
 def test_a_link_without_which_nothing_is_stable_is_said_to_buy_stability() -> None:
     plant = _oscillator(-0.05, (0.0, 1.0))  # the own signal does not show the growing mode
-    found = signal_worth({"base": plant}, _gain(1.0, 1.6), [Condition("N")], _gain(3.0, 0.0))
-    assert found.best_own is None
-    assert "buys stability" in found.sentence
+    result = signal_worth({"base": plant}, _gain(1.0, 1.6), [Condition("N")], _gain(3.0, 0.0))
+    assert result.best_own is None
+    assert "buys stability" in result.sentence

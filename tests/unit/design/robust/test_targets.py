@@ -65,14 +65,17 @@ def test_each_kind_of_condition_is_asked_for_its_own_target() -> None:
         inputs=["A_vs"],
         outputs=["A_dw", "B_dw"],
     )
-    found = judge_family(plant, K, (NOW, LOST), worst_swing=0.1, inter_area=0.1)
-    assert [v.split(" is ")[0] for v in found.violations] == ["worst swing damping", "inter-area damping"]
-    found = judge_family(
+    certificate = judge_family(plant, K, (NOW, LOST), worst_swing=0.1, inter_area=0.1)
+    assert [v.split(" is ")[0] for v in certificate.violations] == [
+        "worst swing damping",
+        "inter-area damping",
+    ]
+    certificate = judge_family(
         plant, K, (NOW, LOST), worst_swing=0.1, inter_area=0.1, targets={"lost": (0.04, 0.04)}
     )
-    assert found.violations == ()
-    found = judge_family(plant, K, (NOW, LOST), targets={"all": (0.1, 0.2), "lost": (0.04, 0.06)})
-    assert [v.partition(":")[0] for v in found.violations] == [
+    assert certificate.violations == ()
+    certificate = judge_family(plant, K, (NOW, LOST), targets={"all": (0.1, 0.2), "lost": (0.04, 0.06)})
+    assert [v.partition(":")[0] for v in certificate.violations] == [
         "inter-area damping with signals all is 0.15, asked >= 0.2",
         "inter-area damping with signals lost is 0.05, asked >= 0.06",
     ]
@@ -85,11 +88,11 @@ def test_a_scaled_signal_is_judged_and_asked_for_by_name() -> None:
     K = control.ss([], [], [], [[0.0, -0.8]], inputs=["A_dw", "B_dw"], outputs=["A_vs"])
     slow = select(_grid(), ["A_vs"], ["A_dw", "B_dw"])
     plant = {"base": control.ss(*_first_two_states(slow), inputs=["A_vs"], outputs=["A_dw", "B_dw"])}
-    found = judge_family(
+    certificate = judge_family(
         plant, K, conditions, targets={"scaled": (0.24, 0.0), "x-1:B_dw": (-0.04, -0.06)}, worst_swing=0.16
     )
-    assert [row.worst_swing for row in found.rows] == pytest.approx([0.15, 0.25, -0.05])
-    assert [v.partition(":")[0] for v in found.violations] == [
+    assert [row.worst_swing for row in certificate.rows] == pytest.approx([0.15, 0.25, -0.05])
+    assert [v.partition(":")[0] for v in certificate.violations] == [
         "base, x-1",
         "worst swing damping is 0.15, asked >= 0.16",
         "worst swing damping under x-1",
@@ -112,9 +115,9 @@ def test_the_search_sees_a_scaled_signal_as_so_much_more_gain() -> None:
     )
     A, C = np.array([[-1.0, 2.0], [-2.0, -1.0]]), np.array([[0.4, 0.2]])
     B = np.array([[0.2, 0.1], [0.0, -0.1]])
-    found = seen.worst(seen.pack(A, B, C))
-    assert found == pytest.approx(unscaled.worst(unscaled.pack(A, B * [1.0, -3.0], C)))
-    assert found != pytest.approx(unscaled.worst(unscaled.pack(A, B, C)))
+    result = seen.worst(seen.pack(A, B, C))
+    assert result == pytest.approx(unscaled.worst(unscaled.pack(A, B * [1.0, -3.0], C)))
+    assert result != pytest.approx(unscaled.worst(unscaled.pack(A, B, C)))
     efforts = [
         float(np.abs(grid.response[:, 1] / other.response[:, 1] + 3.0).max())
         for grid, other in zip(seen.efforts, unscaled.efforts, strict=True)

@@ -80,9 +80,9 @@ def test_half_the_step_gives_the_reference(kind: str, fmus: dict[str, Path]) -> 
                 run.slopes(name, float((then - now) / half))
             run.step(k * half, half)
             rows.append([run.get(n) for n in names[1:]])
-    found = np.array(rows, dtype=float)[1::2]
+    result = np.array(rows, dtype=float)[1::2]
     scale = np.maximum(np.ptp(reference[:, 1:], axis=0), 1e-3)
-    assert np.all(np.max(np.abs(found - reference[1:, 1:]), axis=0) <= 1e-5 * scale)
+    assert np.all(np.max(np.abs(result - reference[1:, 1:]), axis=0) <= 1e-5 * scale)
 
 
 def test_linear_controller_agrees_with_scipy(fmus: dict[str, Path]) -> None:

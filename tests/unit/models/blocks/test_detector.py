@@ -79,12 +79,12 @@ def test_a_swing_of_all_is_trusted(detector: Path) -> None:
 def test_each_test_names_the_signal_at_the_stated_frame(
     detector: Path, sent: Sent, reason: str, at_s: float
 ) -> None:
-    found = follow(detector, {"b": sent})
-    assert all(found[s] == [] for s in "acd")
-    assert found["b"][0][1] == reason
+    verdicts = follow(detector, {"b": sent})
+    assert all(verdicts[s] == [] for s in "acd")
+    assert verdicts["b"][0][1] == reason
     # what is compared at one stamp waits for the slowest of the signals, 0.1 s
     late_s = max(AGE_S.values()) if reason == "apart" else 0.0
-    assert found["b"][0][0] == pytest.approx(at_s + late_s, abs=FRAME_S + 1e-9)
+    assert verdicts["b"][0][0] == pytest.approx(at_s + late_s, abs=FRAME_S + 1e-9)
 
 
 def rough(random: np.random.Generator, rms: float, more_s: float = 1e9) -> Sent:
@@ -97,17 +97,17 @@ def test_noise_is_named_by_the_median_of_what_it_bends(detector: Path) -> None:
     random = np.random.default_rng(2)
     wrong = {s: rough(random, 1e-3 / 60.0) for s in SIGNALS}
     assert follow(detector, wrong) == {s: [] for s in SIGNALS}
-    found = follow(detector, {**wrong, "c": rough(random, 1e-3 / 60.0, 3.0)}, stop_s=6.0)
-    assert [why for _, why in found["c"]] == ["rough"]
+    verdicts = follow(detector, {**wrong, "c": rough(random, 1e-3 / 60.0, 3.0)}, stop_s=6.0)
+    assert [why for _, why in verdicts["c"]] == ["rough"]
     # half of 50 stamps, those whose bend is below the limit on top
-    assert 3.0 + 25 * FRAME_S < found["c"][0][0] < 3.0 + 50 * FRAME_S
-    assert all(found[s] == [] for s in "abd")
+    assert 3.0 + 25 * FRAME_S < verdicts["c"][0][0] < 3.0 + 50 * FRAME_S
+    assert all(verdicts[s] == [] for s in "abd")
 
 
 def test_noise_of_all_signals_is_no_wrong_one(detector: Path) -> None:
     random = np.random.default_rng(2)
-    found = follow(detector, {s: rough(random, 1e-2 / 60.0) for s in SIGNALS})
-    assert found == {s: [] for s in SIGNALS}
+    verdicts = follow(detector, {s: rough(random, 1e-2 / 60.0) for s in SIGNALS})
+    assert verdicts == {s: [] for s in SIGNALS}
 
 
 def test_a_few_kinks_are_not_rough(detector: Path) -> None:
@@ -124,20 +124,20 @@ def test_a_signal_at_rest_repeats_without_harm(detector: Path) -> None:
 def test_it_comes_back_after_the_stated_time_and_later_each_time(detector: Path) -> None:
     spikes = (2.2, 3.2, 5.2)
     sent: Sent = lambda s, v: v + 0.01 * any(abs(s - at) < 1e-9 for at in spikes)  # noqa: E731
-    found = follow(detector, {"d": sent}, stop_s=9.0, return_time=0.5)["d"]
-    assert [why for _, why in found] == 3 * ["jump", "trusted"]
-    out = [t for t, why in found if why == "jump"]
-    back = [t for t, why in found if why == "trusted"]
+    verdicts = follow(detector, {"d": sent}, stop_s=9.0, return_time=0.5)["d"]
+    assert [why for _, why in verdicts] == 3 * ["jump", "trusted"]
+    out = [t for t, why in verdicts if why == "jump"]
+    back = [t for t, why in verdicts if why == "trusted"]
     assert out == pytest.approx(list(spikes), abs=1e-9)
     # the frame after a spike jumps too: from there on .5, 1 and 2 s
     assert [b - o for o, b in zip(out, back, strict=True)] == pytest.approx([0.52, 1.02, 2.02], abs=1e-9)
 
 
 def test_a_lost_signal_is_no_alarm_and_is_back_at_once(detector: Path) -> None:
-    found = follow(detector, {}, lost=lambda s, t: s == "a" and 2.0 <= t < 2.5 - 1e-9)
-    assert [why for _, why in found["a"]] == ["lost", "trusted"]
-    assert found["a"][1][0] - found["a"][0][0] == pytest.approx(0.5)
-    assert all(found[s] == [] for s in "bcd")
+    verdicts = follow(detector, {}, lost=lambda s, t: s == "a" and 2.0 <= t < 2.5 - 1e-9)
+    assert [why for _, why in verdicts["a"]] == ["lost", "trusted"]
+    assert verdicts["a"][1][0] - verdicts["a"][0][0] == pytest.approx(0.5)
+    assert all(verdicts[s] == [] for s in "bcd")
 
 
 def test_two_signals_never_accuse_each_other(tmp_path: Path) -> None:

@@ -49,8 +49,8 @@ def started(case: Case, *events: dict[str, Any], form: str = "dense", show: Any 
 
 
 def outputs(plant: BlockShim, stop_s: float) -> dict[str, np.ndarray]:
-    _, _, found = plant.run(stop_s, 0.002)
-    return dict(zip(plant.output_names, found.T, strict=True))
+    _, _, result = plant.run(stop_s, 0.002)
+    return dict(zip(plant.output_names, result.T, strict=True))
 
 
 @pytest.mark.parametrize("form", FORMS)
@@ -93,8 +93,8 @@ def test_loads_that_iterate_draw_nothing_where_no_machine_is(form: str) -> None:
     around = [b.name for b in case.branches if 7 in (b.from_bus, b.to_bus)]
     trips = [{"kind": "branch_trip", "branch": name, "start_s": 0.01} for name in around]
     plant = started(case, *trips, form=form, show=["bus*.v", "G*_pe"])
-    _, states, found = plant.run(0.05, 0.005)
-    last = dict(zip(plant.output_names, found[-1], strict=True))
+    _, states, result = plant.run(0.05, 0.005)
+    last = dict(zip(plant.output_names, result[-1], strict=True))
     assert np.all(np.isfinite(states))
     assert last["bus7.v"] == pytest.approx(0.0, abs=1e-9) and last["bus9.v"] > 0.5
 

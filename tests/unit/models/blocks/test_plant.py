@@ -28,8 +28,8 @@ def started(name: str, *events: dict, change: dict | None = None, **parameters) 
 
 def swing(plant) -> list[complex]:
     """Electromechanical eigenvalues, by frequency."""
-    found = [e for e in np.linalg.eigvals(plant.jacobians()[0]) if 2.0 < e.imag < 9.0 and e.real > -3.0]
-    return sorted(found, key=lambda e: e.imag)
+    result = [e for e in np.linalg.eigvals(plant.jacobians()[0]) if 2.0 < e.imag < 9.0 and e.real > -3.0]
+    return sorted(result, key=lambda e: e.imag)
 
 
 def test_nothing_moves_at_the_operating_point(plant):
@@ -312,6 +312,6 @@ def test_machines_side_by_side_have_the_bits_of_each_alone(name):
     for lanes in (4, 8):
         plant._block.lanes = min(lanes, widest)
         wanted.append(plant.derivatives(x, u))
-    for found in wanted[1:]:
-        np.testing.assert_array_equal(found[0], wanted[0][0])
-        np.testing.assert_array_equal(found[1], wanted[0][1])
+    for result in wanted[1:]:
+        np.testing.assert_array_equal(result[0], wanted[0][0])
+        np.testing.assert_array_equal(result[1], wanted[0][1])

@@ -91,9 +91,11 @@ def reference(changes: list[tuple[float, str, tuple[float, float]]], times: np.n
     ):
         inside = times[(times > start + 1e-9) & (times <= end + 1e-9)]
         grid = np.unique(np.concatenate([inside, [end]]))
-        found = solve_ivp(slope, (start, end), x, args=(active, trusted), t_eval=grid, rtol=1e-11, atol=1e-14)
-        values += [output(found.y[:, k]) for k in range(len(inside))]
-        x = found.y[:, -1]
+        solution = solve_ivp(
+            slope, (start, end), x, args=(active, trusted), t_eval=grid, rtol=1e-11, atol=1e-14
+        )
+        values += [output(solution.y[:, k]) for k in range(len(inside))]
+        x = solution.y[:, -1]
     return np.array(values)
 
 
@@ -143,10 +145,10 @@ def test_limit_and_refusals(fmu: Path) -> None:
 
 def test_file_and_fmu_hold_the_same_bank(fmu: Path, tmp_path: Path) -> None:
     wanted = bank(return_s=0.3)
-    for found in (load_controller(wanted.save(tmp_path / "bank.json")), controller_from_fmu(fmu, OMEGA_B)):
-        assert isinstance(found, ControllerBank)
-        assert found.return_s == 0.3 and [m.name for m in found.members] == ["both", "local"]
-        for mine, theirs in zip(wanted.matrices().values(), found.matrices().values(), strict=True):
+    for result in (load_controller(wanted.save(tmp_path / "bank.json")), controller_from_fmu(fmu, OMEGA_B)):
+        assert isinstance(result, ControllerBank)
+        assert result.return_s == 0.3 and [m.name for m in result.members] == ["both", "local"]
+        for mine, theirs in zip(wanted.matrices().values(), result.matrices().values(), strict=True):
             for a, b in zip(mine, theirs, strict=True):
                 np.testing.assert_allclose(b, a, rtol=1e-15)
 
@@ -155,9 +157,9 @@ def test_file_and_fmu_hold_the_same_guard(tmp_path: Path) -> None:
     guard = Guard({"G4_vs": SIGNALS}, {"G4_vs": -0.5}, 0.25, 8.0, 2.0)
     wanted = bank(guard=guard)
     fmu = build_fmu(wanted.block(OMEGA_B), tmp_path / "bank.fmu")
-    for found in (load_controller(wanted.save(tmp_path / "bank.json")), controller_from_fmu(fmu, OMEGA_B)):
-        assert isinstance(found, ControllerBank) and found.guard is not None
-        assert replace(found.guard, threshold=round(found.guard.threshold, 12)) == guard
+    for result in (load_controller(wanted.save(tmp_path / "bank.json")), controller_from_fmu(fmu, OMEGA_B)):
+        assert isinstance(result, ControllerBank) and result.guard is not None
+        assert replace(result.guard, threshold=round(result.guard.threshold, 12)) == guard
     with pytest.raises(ControllerError, match="guard watches"):
         bank(guard=Guard({"G4_vs": "G9_dw"}, {"G4_vs": 1.0}, 0.25))
 

@@ -102,8 +102,8 @@ class Record:
 
 def typical():
     for model, text in RECORDS.items():
-        found = device_for_dyr(Record(model, text))
-        yield model, found.model, dict(found.parameters)
+        result = device_for_dyr(Record(model, text))
+        yield model, result.model, dict(result.parameters)
     for key, given in OWN.items():
         yield key, library()[key], given
 
@@ -299,9 +299,9 @@ def test_devices_side_by_side_have_the_bits_of_each_alone(driver, name):
     alone = driver.run(instance.model, [instance] * len(xs), xs, seen)
     for lanes in (4, 8):
         if lanes <= driver.c.lanes_of_this_machine():
-            found = driver.run(instance.model, [instance] * len(xs), xs, seen, lanes)
-            np.testing.assert_array_equal(found[0], alone[0])
-            np.testing.assert_array_equal(found[1], alone[1])
+            result = driver.run(instance.model, [instance] * len(xs), xs, seen, lanes)
+            np.testing.assert_array_equal(result[0], alone[0])
+            np.testing.assert_array_equal(result[1], alone[1])
 
 
 @pytest.mark.parametrize("name", TYPICAL)

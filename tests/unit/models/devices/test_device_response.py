@@ -35,19 +35,19 @@ EMAX = { unit = "pu" }
 
 def test_step_response_and_poles_are_those_of_the_transfer_function():
     """K (1 + s TA)/((1 + s TB)(1 + s TE)), by partial fractions."""
-    found = response_of(library()["sexs"], SEXS, stop_s=4.0)
+    response = response_of(library()["sexs"], SEXS, stop_s=4.0)
     slow, fast = -1.0 / SEXS["TB"], -1.0 / SEXS["TE"]
-    assert found.poles == pytest.approx([slow, fast], rel=1e-12)
+    assert response.poles == pytest.approx([slow, fast], rel=1e-12)
     lead, gain = SEXS["TA_TB"] * SEXS["TB"], SEXS["K"] * slow * fast
     residue = {p: gain * (1.0 + lead * p) / (p * (p - q)) for p, q in ((slow, fast), (fast, slow))}
-    wanted = SEXS["K"] + sum(r * np.exp(p * found.times) for p, r in residue.items())
-    assert found.step == ("vref", 0.01)
-    np.testing.assert_allclose(found.output, 0.01 * wanted, atol=1e-6)
+    wanted = SEXS["K"] + sum(r * np.exp(p * response.times) for p, r in residue.items())
+    assert response.step == ("vref", 0.01)
+    np.testing.assert_allclose(response.output, 0.01 * wanted, atol=1e-6)
 
 
 def test_a_limit_holds_in_the_step_response():
-    found = response_of(library()["sexs"], SEXS | {"EMAX": 1.9}, stop_s=4.0)
-    assert found.output.max() == pytest.approx(0.1, abs=1e-9)
+    response = response_of(library()["sexs"], SEXS | {"EMAX": 1.9}, stop_s=4.0)
+    assert response.output.max() == pytest.approx(0.1, abs=1e-9)
 
 
 def test_what_is_wrong_is_named():
@@ -96,9 +96,9 @@ def test_the_command_shows_a_users_device(tmp_path, monkeypatch, capsys):
     file.write_text(OWN)
     sets = [f"--set={n}={v}" for n, v in {"TC": 1, "TB": 10, "KA": 100, "TA": 0.05}.items()]
     code, out, _ = call(file, *sets, "--set=EMIN=-5", "--set=EMAX=5", "--draw", svg, "--json")
-    found = json.loads(out)
-    assert code == 0 and svg.is_file() and found["references"]["vref"] == pytest.approx(1.0 + 1.8 / 100.0)
-    assert sorted(p[0] for p in found["poles"]) == pytest.approx([-20.0, -0.1])
+    document = json.loads(out)
+    assert code == 0 and svg.is_file() and document["references"]["vref"] == pytest.approx(1.0 + 1.8 / 100.0)
+    assert sorted(p[0] for p in document["poles"]) == pytest.approx([-20.0, -0.1])
     code, _, err = call(file, *sets)
     assert code == 2 and "no value for EMIN, EMAX; give --set EMIN=" in err
     assert call("sex")[0] == 2 and call(file, "--set", "KA=x")[0] == 2

@@ -46,7 +46,7 @@ def test_the_plant_follows_openipsl(name):
     machine = case.machines[0].name
     variable = {"w": f"{machine}_dw", "EFD": f"{machine}.Efd", "PMECH": f"{machine}.Pm"}
     for column in [key for key in record if key.endswith("_pu") and key != "load_p_pu"]:
-        found = np.array([row[variable[column.split("_")[-2]]] for row in shown])
-        wanted = np.array(record[column])[: len(found)]
-        error = np.abs(found - wanted).max() / np.ptp(wanted)
+        result = np.array([row[variable[column.split("_")[-2]]] for row in shown])
+        wanted = np.array(record[column])[: len(result)]
+        error = np.abs(result - wanted).max() / np.ptp(wanted)
         assert error < WITHIN.get(column, 1e-3), (column, error)

@@ -88,9 +88,9 @@ def test_a_new_device_has_its_transfer_function(tmp_path: Path) -> None:
     for f in (0.01, 0.3, 1.0, 20.0):
         s = 2j * np.pi * f
         inner = np.linalg.solve(s * np.eye(3) - A[np.ix_(own, own)], b[own])
-        found = Td01 * (A[field, own] @ inner + b[field])
+        result = Td01 * (A[field, own] @ inner + b[field])
         wanted = (PI_ROW["KP"] + PI_ROW["KI"] / s) / (1.0 + s * PI_ROW["TA"])
-        assert found == pytest.approx(wanted, rel=1e-9)
+        assert result == pytest.approx(wanted, rel=1e-9)
 
 
 def avr_case() -> Case:
@@ -136,18 +136,18 @@ def test_a_record_of_its_name_is_the_device_and_goes_out_again(tmp_path: Path, r
     raw.write_text(raw_text(case))
     dyr.write_text(dyr_text(case) + record)
     file.write_text(AVR)
-    found = import_psse(raw, dyr, devices=[file]).case
-    with_avr = next(m for m in found.machines if m.bus == 1).exciter
+    imported = import_psse(raw, dyr, devices=[file]).case
+    with_avr = next(m for m in imported.machines if m.bus == 1).exciter
     values = {"TR": 0.02, "TC": 1.0, "TB": 0.0, "KA": 150.0, "TA": 0.02, "EMIN": -5.0, "EMAX": 5.0}
     assert with_avr.kind == "my_avr" and with_avr.parameters == values
-    raw.write_text(raw_of(found).text)
-    out = dyr_of(found).text
+    raw.write_text(raw_of(imported).text)
+    out = dyr_of(imported).text
     assert "'USRMDL' '1' 'MYAVR' 4 0 0 7 3 0 " in out
     dyr.write_text(out)
     again = import_psse(raw, dyr, devices=[file]).case
     assert [m.exciter for m in again.machines] == [
         m.exciter.model_copy(update={"source": n.exciter.source})
-        for m, n in zip(found.machines, again.machines, strict=True)
+        for m, n in zip(imported.machines, again.machines, strict=True)
     ]
 
 
@@ -157,8 +157,8 @@ def test_without_a_table_of_records_fields_are_the_parameters_in_order(tmp_path:
     raw.write_text(raw_text(case))
     dyr.write_text(dyr_text(case) + "1 'USRMDL' 1 'MY_PI' 4 0 0 4 3 0 0.02 20.0 5.0 0.05 /\n")
     file.write_text(PI)
-    found = next(m for m in import_psse(raw, dyr, devices=[file]).case.machines if m.bus == 1)
-    assert found.exciter.parameters == {k: v for k, v in PI_ROW.items() if k != "kind"}
+    imported = next(m for m in import_psse(raw, dyr, devices=[file]).case.machines if m.bus == 1)
+    assert imported.exciter.parameters == {k: v for k, v in PI_ROW.items() if k != "kind"}
     with pytest.raises(CaseError, match=r"model 'MY_PI' .*draw it as a device named MY_PI and give its file"):
         import_psse(raw, dyr)
     dyr.write_text(dyr_text(case) + "1 'USRMDL' 1 'MY_PI' 4 0 0 3 3 0 0.02 20.0 5.0 /\n")

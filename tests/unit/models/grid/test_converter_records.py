@@ -64,8 +64,8 @@ BOUNDS = {
 
 @pytest.mark.parametrize("name", BOUNDS)
 def test_a_plant_follows_the_record(name):
-    found = errors(name)
-    assert all(found[key] <= bound for key, bound in BOUNDS[name].items()), found
+    result = errors(name)
+    assert all(result[key] <= bound for key, bound in BOUNDS[name].items()), result
 
 
 @pytest.mark.parametrize(

@@ -169,14 +169,14 @@ def test_whatever_version_a_file_says_it_is_read_rightly_or_refused_with_its_lin
         wanted = elements(version, version)[0]
         for said in VERSIONS:
             try:
-                found, notes = elements(version, said)
+                result, notes = elements(version, said)
             except CaseError as error:
                 assert "grid.raw:" in str(error)
                 refused.add((version, said))
                 if (version, said) not in {(34, 35), (35, 34), (34, 36), (31, 32), (31, 33)}:
                     assert f"says version {said} and is laid out as" in str(error)
                 continue
-            assert found == wanted, (version, said)
+            assert result == wanted, (version, said)
             assert bool(notes) == ((version, said) not in {(29, 30), (30, 29), (32, 33)} and version != said)
     assert {version for version, _ in refused} == {31, 34, 35}
 

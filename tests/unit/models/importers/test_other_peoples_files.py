@@ -48,14 +48,14 @@ def test_a_line_of_comment_that_looks_like_a_record_is_named(spoiled: str, tmp_p
     text = DYR.replace(f"\n{old}", f"\n{new}", 1)
     line = text[: text.index(new)].count("\n") + 1
     model = old.split("'")[1]
-    found = read_dyr(_written(tmp_path, text)) if model == "EXST1" else None
-    if found is None:  # its second line begins with a number, which is no bus
+    result = read_dyr(_written(tmp_path, text)) if model == "EXST1" else None
+    if result is None:  # its second line begins with a number, which is no bus
         with pytest.raises(CaseError, match=rf"grid\.dyr:{line + 1}: bus = "):
             read_dyr(_written(tmp_path, text))
         return
     said = f"line {line}, which names {model}, begins with no bus number"
-    assert [note for note in found.notes if said in note and f"grid.dyr:{line}:" in note]
-    assert found.comments == 2
+    assert [note for note in result.notes if said in note and f"grid.dyr:{line}:" in note]
+    assert result.comments == 2
     with pytest.raises(CaseError, match=r"names EXST1.*--strict"):
         name_of = {(m.bus, "1"): m.name for m in CASE.machines}
         machine_dynamics(read_dynamics(tmp_path / "grid.dyr"), name_of, (), Report(strict=True))
@@ -70,9 +70,9 @@ def test_a_record_behind_the_slash_of_another_is_read(tmp_path: Path) -> None:
     lines = DYR.splitlines()
     k = next(k for k, line in enumerate(lines) if "'EXST1'" in line)
     joined = "\n".join([*lines[: k - 1], lines[k - 1] + " " + lines[k], *lines[k + 1 :]])
-    found, whole = (read_dyr(_written(tmp_path, text)) for text in (joined, DYR))
-    assert [r.fields for r in found.records] == [r.fields for r in whole.records]
-    assert found.notes == (
+    result, whole = (read_dyr(_written(tmp_path, text)) for text in (joined, DYR))
+    assert [r.fields for r in result.records] == [r.fields for r in whole.records]
+    assert result.notes == (
         f"{tmp_path}/grid.dyr:{k}: EXST1 begins behind the / of another record; read as two",
     )
     remark = DYR.replace(" /\n", " / GENROU of NORTH, from the works\n", 1)
@@ -97,9 +97,9 @@ ABSENT = {
 @pytest.mark.parametrize("section", ABSENT)
 def test_a_record_out_of_service_may_stand_at_a_bus_that_is_not_there(section: str, tmp_path: Path) -> None:
     plain = taken(tmp_path, raw_grid(33)).case
-    found = taken(tmp_path, raw_grid(33, extra={section: [ABSENT[section]]}))
-    assert found.report.dropped[f"{section} out of service at a bus that is not there"] == 1
-    assert found.case == plain
+    imported = taken(tmp_path, raw_grid(33, extra={section: [ABSENT[section]]}))
+    assert imported.report.dropped[f"{section} out of service at a bus that is not there"] == 1
+    assert imported.case == plain
     fields = ABSENT[section].split(",")
     at = {"load": 2, "fixed shunt": 2, "generator": 14, "branch": 13, "transformer": 11}.get(section)
     fields[at if at else {"induction machine": 2, "switched shunt": 3}[section]] = "1"
@@ -112,9 +112,9 @@ def test_a_winding_out_of_service_may_end_at_a_bus_that_is_not_there(tmp_path: P
     star = (
         "1,3,9999,'9',1,1,1,0,0,2,'T',3,1,1\n0.01,0.2,100,0.01,0.2,100,0.01,0.2,100,1,0\n1,0,0\n1,0,0\n1,0,0"
     )
-    found = taken(tmp_path, raw_grid(33, extra={"transformer": [star]}))
-    assert found.report.dropped["winding out of service at a bus that is not there"] == 1
-    legs = [b for b in found.case.branches if "winding" in b.name and "9999" in b.name]
+    imported = taken(tmp_path, raw_grid(33, extra={"transformer": [star]}))
+    assert imported.report.dropped["winding out of service at a bus that is not there"] == 1
+    legs = [b for b in imported.case.branches if "winding" in b.name and "9999" in b.name]
     assert sum(complex(b.r, b.x) for b in legs) == pytest.approx(0.01 + 0.2j)
     with pytest.raises(CaseError, match="bus 9999 does not exist"):
         taken(tmp_path, raw_grid(33, extra={"transformer": [star.replace("'T',3", "'T',1")]}))
@@ -135,9 +135,9 @@ def test_a_winding_out_of_service_may_end_at_a_bus_that_is_not_there(tmp_path: P
 def test_a_case_is_named_by_its_file_and_what_is_changed_is_told(
     file: str, name: str, tmp_path: Path
 ) -> None:
-    found = taken(tmp_path, raw_grid(33), file)
-    assert found.case.name == name
-    told = [line for line in found.report.lines if "the case is named" in line]
+    imported = taken(tmp_path, raw_grid(33), file)
+    assert imported.case.name == name
+    told = [line for line in imported.report.lines if "the case is named" in line]
     assert bool(told) == (name != file.removesuffix(".raw"))
 
 
@@ -208,10 +208,10 @@ def test_columns_that_a_file_scales_are_scaled(tmp_path: Path) -> None:
     Zbase = 12.66**2
     short = "mpc.branch(:, [3 4]) = mpc.branch(:, [3 4]) / (12.66^2 / mpc.baseMVA);\n"
     for code in (OHMS, short, "mpc.branch(:,3:4) = mpc.branch(:,3:4)*(1/12.66^2);\n"):
-        found = taken(tmp_path, FEEDER + code, "grid.m")
-        assert [b.r for b in found.case.branches] == pytest.approx([0.02 / Zbase] * 2, rel=1e-14)
-        assert [b.x for b in found.case.branches] == pytest.approx([0.04 / Zbase] * 2, rel=1e-14)
-        assert found.report.read["statements that change a table, which were done"] == 1
+        imported = taken(tmp_path, FEEDER + code, "grid.m")
+        assert [b.r for b in imported.case.branches] == pytest.approx([0.02 / Zbase] * 2, rel=1e-14)
+        assert [b.x for b in imported.case.branches] == pytest.approx([0.04 / Zbase] * 2, rel=1e-14)
+        assert imported.report.read["statements that change a table, which were done"] == 1
     code = "define_constants;\npf = 0.8;\nmpc.bus(:, QD) = mpc.bus(:, PD) * sin(acos(pf));\n"
     code += "mpc.bus(:, PD) = mpc.bus(:, PD) * pf;\nmpc.bus(3, 3) = 0.7;\n"
     loads = {load.bus: load for load in taken(tmp_path, FEEDER + code, "grid.m").case.loads}
@@ -243,19 +243,19 @@ def test_any_other_statement_is_refused_with_its_line(code: str, tmp_path: Path)
 
 def test_what_plays_no_part_in_a_matpower_file_is_told(tmp_path: Path) -> None:
     more = "mpc.gencost = [2 0 0 3 0.1 5 0;];\nmpc.bus_name = {\n'A; ]'; 'B % b'; 'C';\n};\n"
-    found = taken(tmp_path, FEEDER + more + "%{\nmpc.bus(1,3) = 9;\n%}\n", "grid.m")
+    imported = taken(tmp_path, FEEDER + more + "%{\nmpc.bus(1,3) = 9;\n%}\n", "grid.m")
     left_out = {f"mpc.{name}, which plays no part" for name in ("gencost", "bus_name")}
-    assert left_out <= set(found.report.dropped)
-    found = taken(tmp_path, FEEDER + "mpc.baseMVA = 2;\n", "grid.m")
-    assert found.case.base_mva == 2.0
-    assert found.report.assumed["mpc.baseMVA is given twice: the later one taken"]
+    assert left_out <= set(imported.report.dropped)
+    imported = taken(tmp_path, FEEDER + "mpc.baseMVA = 2;\n", "grid.m")
+    assert imported.case.base_mva == 2.0
+    assert imported.report.assumed["mpc.baseMVA is given twice: the later one taken"]
     uneven = FEEDER.replace("2 3 0.02 0.04", "2 3 0.020.04")
     with pytest.raises(CaseError, match=r"grid\.m:12: mpc\.branch: '0\.020\.04' is not a number"):
         taken(tmp_path, uneven, "grid.m")
     with pytest.raises(CaseError, match=r"grid\.m:6: mpc\.bus: 12 columns, allowed: 13 as in its other rows"):
         taken(tmp_path, FEEDER.replace("2 1 0.6 0.3", "2 1 0.6"), "grid.m")
-    found = taken(tmp_path, FEEDER.replace("10 0; ];", "10 0;\n99 0 0 10 -10 1 1 0 10 0; ];"), "grid.m")
-    assert found.report.dropped["unit out of service at a bus that is not there"] == 1
+    imported = taken(tmp_path, FEEDER.replace("10 0; ];", "10 0;\n99 0 0 10 -10 1 1 0 10 0; ];"), "grid.m")
+    assert imported.report.dropped["unit out of service at a bus that is not there"] == 1
 
 
 # ---------------------------------------------------------------- negative damping coefficient

@@ -69,6 +69,6 @@ def test_the_power_flow_of_another_reader_has_the_same_voltages_and_flows(
     path = tmp_path / "grid.raw"
     path.write_text(raw_of(case, solve_powerflow(case)).text)
     imported = import_psse(path)
-    found = differences(imported, path, TOOLS[tool](**problem_of(imported, path)))
-    assert found["buses"] == len(case.buses)
-    assert found["pu"] < 1e-7 and found["flow"] < 1e-7
+    result = differences(imported, path, TOOLS[tool](**problem_of(imported, path)))
+    assert result["buses"] == len(case.buses)
+    assert result["pu"] < 1e-7 and result["flow"] < 1e-7

@@ -45,10 +45,10 @@ def wheel(tmp_path, monkeypatch):
 
 def test_a_published_grid_is_read_like_its_files(wheel, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    found = import_grid("npcc")
+    imported = import_grid("npcc")
     wanted = import_psse(RAW, DYR, name="npcc").case
-    assert found.case.hash == wanted.hash and found.case.name == "npcc"
-    assert "GPL-3.0" in found.report.text() and "andes/cases/npcc" in found.case.source
+    assert imported.case.hash == wanted.hash and imported.case.name == "npcc"
+    assert "GPL-3.0" in imported.report.text() and "andes/cases/npcc" in imported.case.source
     assert [p.name for p in tmp_path.iterdir()] == [wheel.name]  # nothing is left behind
 
 

@@ -56,7 +56,7 @@ fmi2Status fmi2ExitInitializationMode(fmi2Component c)
     Whims *m = c;
     m->v[Y] = m->v[X0];
     if (m->v[ALONE] < 1e30 && alive > 1) {
-        m->call.logger(m->call.componentEnvironment, "whims", fmi2Error, "logStatusError", "%d instances", alive);
+        m->call.logger(m->call.componentEnvironment, "misbehaving", fmi2Error, "logStatusError", "%d instances", alive);
         return fmi2Error;
     }
     return fmi2OK;
@@ -119,7 +119,7 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no_se
     (void)no_set;
 
     if (v[ABORT_AT] < end) {
-        m->call.logger(m->call.componentEnvironment, "whims", fmi2Error, "logStatusError", "about to abort");
+        m->call.logger(m->call.componentEnvironment, "misbehaving", fmi2Error, "logStatusError", "about to abort");
         abort();
     }
     while (v[HANG_AT] < end) {
@@ -148,7 +148,7 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no_se
     integrate(m, end);
     if (v[NAN_AT] < end) m->v[Y] = NAN;
     if (v[WARN_AT] < end) {
-        m->call.logger(m->call.componentEnvironment, "whims", fmi2Warning, "logStatusWarning",
+        m->call.logger(m->call.componentEnvironment, "misbehaving", fmi2Warning, "logStatusWarning",
                        "u = %.2f is odd at 100%% load", m->v[U]);
         return fmi2Warning;
     }

@@ -1,4 +1,4 @@
-"""What can be run as written but was hardly meant is said in a line; what could never be meant is refused."""
+"""What can be run as written but is probably unintended is reported; what can only be wrong is refused."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from interarea.cosim.errors import ScenarioError, ScenarioWarning
-from interarea.cosim.run.oddities import outputs_used
 from interarea.cosim.run.run import run_scenario, system_of
+from interarea.cosim.run.scenario_warnings import outputs_used
 from interarea.cosim.scenario.channels import derived_seed
 from interarea.cosim.scenario.scenario import load_scenario
 from interarea.design.controllers.controller import Controller

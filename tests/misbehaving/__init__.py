@@ -1,4 +1,4 @@
-"""An FMU in C that misbehaves on demand (whims.c), for the tests of the master."""
+"""An FMU in C that misbehaves on demand (misbehaving.c), for the tests of the master."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 from interarea.fmu_build.write.compile import compile_library, host_platform
 from interarea.fmu_build.write.sources import fmi_headers
 
-_SOURCE = Path(__file__).parent / "whims.c"
+_SOURCE = Path(__file__).parent / "misbehaving.c"
 _DEGREES = (
     '<UnitDefinitions><Unit name="deg"><BaseUnit rad="1" factor="0.017453292519943295"/></Unit>'
     "</UnitDefinitions>"
@@ -17,7 +17,7 @@ TIMES = ("early_at", "kick", "longest", "end_at", "nan_at", "abort_at", "back_at
 PARAMETERS = (*TIMES, "alone", "x0")
 
 
-def whims_fmu(folder: Path, *, saves_state: bool = True, unit: str = "", once: bool = False) -> Path:
+def misbehaving_fmu(folder: Path, *, saves_state: bool = True, unit: str = "", once: bool = False) -> Path:
     """Build the FMU in `folder`; `unit` of its input (deg is defined, others are not).
 
     once : whether its description allows one instance in a process only.
@@ -25,7 +25,7 @@ def whims_fmu(folder: Path, *, saves_state: bool = True, unit: str = "", once: b
     platform = host_platform()
     names = ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h")
     sources = {name: (fmi_headers() / name).read_bytes() for name in names}
-    library = compile_library("whims", {**sources, "whims.c": _SOURCE.read_bytes()}, platform)
+    library = compile_library("misbehaving", {**sources, "misbehaving.c": _SOURCE.read_bytes()}, platform)
     variables = [
         '<ScalarVariable name="u" valueReference="0" causality="input">'
         f'<Real start="0"{_unit(unit)}/></ScalarVariable>',
@@ -40,8 +40,8 @@ def whims_fmu(folder: Path, *, saves_state: bool = True, unit: str = "", once: b
     saves = str(saves_state).lower()
     text = (
         '<?xml version="1.0" encoding="UTF-8"?>'
-        '<fmiModelDescription fmiVersion="2.0" modelName="whims" guid="{whims}">'
-        '<CoSimulation modelIdentifier="whims" canHandleVariableCommunicationStepSize="true" '
+        '<fmiModelDescription fmiVersion="2.0" modelName="misbehaving" guid="{misbehaving}">'
+        '<CoSimulation modelIdentifier="misbehaving" canHandleVariableCommunicationStepSize="true" '
         'canInterpolateInputs="true" maxOutputDerivativeOrder="1" '
         f'canGetAndSetFMUstate="{saves}" canBeInstantiatedOnlyOncePerProcess="{str(once).lower()}"/>'
         f"{_DEGREES if unit == 'deg' else ''}"
@@ -51,10 +51,10 @@ def whims_fmu(folder: Path, *, saves_state: bool = True, unit: str = "", once: b
         "</fmiModelDescription>"
     )
     folder.mkdir(parents=True, exist_ok=True)
-    path = folder / "whims.fmu"
+    path = folder / "misbehaving.fmu"
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("modelDescription.xml", text)
-        archive.write(library, f"binaries/{platform}/whims{library.suffix}")
+        archive.write(library, f"binaries/{platform}/misbehaving{library.suffix}")
     return path
 
 

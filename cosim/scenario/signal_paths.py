@@ -1,4 +1,4 @@
-"""The ways of a scenario's signals to the controller: channels, concentrators, PMUs before them."""
+"""The paths of a scenario's signals to the controller: channels, concentrators, PMUs before them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from interarea.models.table import Table
 
 from ..errors import ScenarioError
 from .channels import ChannelLine
-from .concentrators import ConcentratorLine, SignalWay
+from .concentrators import ConcentratorLine, PathTable
 from .signal_faults import SignalFault, SwappedSignal
 
 if TYPE_CHECKING:  # tables are checked before what runs them, numpy with it, is loaded
@@ -76,8 +76,8 @@ class ChannelTable(ChannelLine, _Measured):
     channel is connected by `connections`."""
 
 
-class SignalTable(SignalWay, _Measured):
-    """The way of one signal to a concentrator; `signal` travels from the plant to the controller on it."""
+class SignalTable(PathTable, _Measured):
+    """The path of one signal to a concentrator; `signal` travels from the plant to the controller on it."""
 
 
 class ConcentratorTable(ConcentratorLine):
@@ -107,8 +107,8 @@ def _quantity(s: SignalTable) -> str:
     return {"dw": "frequency"}.get(quantity, quantity)
 
 
-class Way(NamedTuple):
-    """The way of a signal: what it is called, input, output and flag of its line, and the PMU before it."""
+class SignalPath(NamedTuple):
+    """The path of a signal: its name, input, output and flag of its channel, and the PMU before it."""
 
     signal: str
     u: str
@@ -140,16 +140,16 @@ def signal_faults_of(
     return faults
 
 
-def ways_of(
+def signal_paths_of(
     channels: Mapping[str, ChannelTable], concentrators: Mapping[str, ConcentratorTable]
-) -> Iterator[Way]:
-    """Yield the way of each signal that is named; the others are connected by hand."""
+) -> Iterator[SignalPath]:
+    """Yield the path of each signal that is named; the others are connected by hand."""
     for name, c in channels.items():
         if c.signal:
             ends = (f"{name}.u", f"{name}.y", f"{name}.valid")
-            yield Way(c.signal, *ends, c.pmu, c.reporting_interval_s, c.quantum)
+            yield SignalPath(c.signal, *ends, c.pmu, c.reporting_interval_s, c.quantum)
     for name, table in concentrators.items():
         for i, s in enumerate(table.signals, start=1):
             if s.signal:
                 ends = (f"{name}.u{i}", f"{name}.y{i}", f"{name}.valid{i}")
-                yield Way(s.signal, *ends, s.pmu, table.reporting_interval_s)
+                yield SignalPath(s.signal, *ends, s.pmu, table.reporting_interval_s)

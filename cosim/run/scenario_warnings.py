@@ -1,4 +1,4 @@
-"""What a scenario says that can be run as written but was hardly meant, a line each."""
+"""What a scenario says that can be run as written but is probably unintended, a line each."""
 
 from __future__ import annotations
 
