@@ -1,8 +1,8 @@
 r"""Steps of the smoothed worst damping that follow every nearly worst eigenvalue by itself.
 
-A designed loop has dozens of eigenvalues that are equally bad. The objective has a slope jump wherever two of
-them are, so a quadratic of it, or the memory of a quasi-Newton method, holds for a fraction of the way to the
-next. Each eigenvalue alone runs nearly straight. With :math:`v_k` what is left of its damping, :math:`g_k` its
+A designed loop has dozens of eigenvalues that are equally bad. The objective has a slope jump wherever two
+of them are, so a quadratic of it, or the memory of a quasi-Newton method, holds for a fraction of the way to
+the next. Each eigenvalue alone runs nearly straight. With :math:`v_k` what is left of its damping, :math:`g_k` its
 gradient and :math:`p_k \propto e^{\rho v_k}`, a step is the least value over :math:`x` of
 
 .. math:: \frac1\rho \log \sum_k e^{\rho (v_k + g_k^T x)} + \tfrac12 x^T |H| x

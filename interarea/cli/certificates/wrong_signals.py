@@ -91,7 +91,7 @@ def _show(certificate: WrongCertificate, place: FaultPlace) -> None:
     late = ", ".join(f"{s} {1e3 * t:g} ms" for s, t in certificate.signals.items())
     witnesses = f"; only compared: {', '.join(certificate.witnesses)}" if certificate.witnesses else ""
     print_table(
-        f"{certificate.controller} on {certificate.case}, a wrong signal from {WRONG_S:g} s ({late}{witnesses})",
+        f"{certificate.controller} on {certificate.case}, wrong from {WRONG_S:g} s ({late}{witnesses})",
         HEADER,
         certificate.table(),
     )
