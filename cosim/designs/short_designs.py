@@ -13,7 +13,7 @@ from interarea.design.linear.linearise import remove_reference
 from interarea.design.modes.loop_points import LoopSet
 from interarea.design.robust.design import design_robust
 from interarea.design.robust.operating_points import inter_area_band, judge_family
-from interarea.design.robust.signal_worth import PAYS
+from interarea.design.robust.signal_worth import PAYS, own_signals
 from interarea.design.robust.smoothed_objective import BandOffsets
 from interarea.design.robust.spec import RobustSpec
 from interarea.design.robust.stages import Stage
@@ -78,12 +78,12 @@ def short_designs(
         sees = _signals_of(one, case)
         signals = tuple(dict.fromkeys(s for seen in sees.values() for s in seen))
         plant = FamilyPlant(case, signals, tuple(sees), blocks, small)
-        alone = {a: tuple(s for s in seen if s == f"{a.removesuffix('_vs')}_dw") for a, seen in sees.items()}
-        own = FamilyPlant(
-            case, tuple(s for seen in alone.values() for s in seen), tuple(alone), blocks, small
-        )
-        reached = _reached(plant, sees, latency_s)
-        rival = _reached(own, alone, latency_s) if alone != sees else reached
+        alone = {a: own for a, own in own_signals(tuple(sees), signals).items() if own}  # no SVC's
+        reached = rival = _reached(plant, sees, latency_s)
+        if alone != sees:
+            near = tuple(s for seen in alone.values() for s in seen)
+            own = FamilyPlant(case, near, tuple(alone), blocks, small)
+            rival = _reached(own, alone, latency_s) if alone else 0.0
         designs.append(ShortDesign(one, reached, max(rival, _uncontrolled(plant))))
         told(k + 1)
     return tuple(designs)

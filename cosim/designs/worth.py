@@ -84,9 +84,13 @@ def _own_of(table: DesignTable) -> dict[str, tuple[str, ...]]:
     for actuator, signals in own.items():
         if not signals:
             raise ScenarioError(
-                f"design {table.name}: no own-signal rival, the machine of {actuator} has no signal among "
-                f"{', '.join(sees[actuator])}; add one of its own, such as "
-                f"{actuator.rpartition('_')[0]}_dw"
+                f"design {table.name}: no own-signal rival, {actuator} has no signal of its own machine "
+                f"among {', '.join(sees[actuator])}; "
+                + (
+                    f"add one of its own, such as {actuator.removesuffix('_vs')}_dw"
+                    if actuator.endswith("_vs")
+                    else "a device at a bus has none, so leave its worth out (--no-worth)"
+                )
             )
     return own
 

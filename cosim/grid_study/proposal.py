@@ -211,9 +211,14 @@ def _short_designs(
 
 
 def _signals(weak: WeakModes, actuator: str, signal: str) -> tuple[str, ...]:
-    """Return what an actuator sees: its own speed, and those that swing against it most, weakest mode."""
-    own = actuator.removesuffix("_vs")
+    """Return what an actuator sees: its own speed, and those that swing against it most, weakest mode.
+
+    A device at a bus has no speed; it takes that of the machine that swings most.
+    """
     shape = weak.weakest.shape
+    own = actuator.removesuffix("_vs")
+    if own not in shape:
+        own = max(shape, key=lambda m: abs(shape[m]))
     against = sorted(
         (m for m in shape if m != own), key=lambda m: float((shape[m] * np.conj(shape[own])).real)
     )
@@ -309,13 +314,13 @@ def _guard(
     parts: Mapping[str, Sequence[str]],
     cache: Path,
 ) -> dict[str, Any]:
-    """Limit that side of each output that adds to the first swing, by pulses in runs without control."""
-    total = dict.fromkeys(parts, 0.0)
-    for fault in acceptance.fault:
-        swing = first_swing(weak.case, fault, acceptance, list(parts), cache)
+    """Limit that side of an exciter's output that adds to the first swing, by pulses without control."""
+    total = {actuator: 0.0 for actuator in parts if actuator.endswith("_vs")}
+    for fault in acceptance.fault if total else ():
+        swing = first_swing(weak.case, fault, acceptance, list(total), cache)
         if swing is None:
             continue
-        for actuator in parts:
+        for actuator in total:
             total[actuator] += STEP_S * float(swing.sensitivity[actuator].sum())
     sides = {a: float(np.sign(value)) for a, value in total.items() if value}
     if not sides:

@@ -10,11 +10,13 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from ..errors import CaseError
 from .report import Report
 from .static import StaticBranch, StaticGrid, StaticLoad, StaticUnit
 from .stored import Solution
 from .topology import live_islands
 
+LEAST_SVC_P = 1e-6  #: of its base: active power that is rounding
 _LONGEST = 64  #: characters of a name in a case file
 _LONGEST_WORD = 40  #: of an identifier within such a name, which has a bus and a letter besides
 _SUFFIXES = re.compile(r"(\.(raw|rawx|m))?(\.(gz|xz|bz2))?$", re.IGNORECASE)
@@ -59,12 +61,13 @@ def document_of(
     exponents: tuple[float, float],
     constant: Mapping[int, float] | None = None,
     converters: Collection[int] = (),
+    svcs: Collection[int] = (),
 ) -> dict[str, Any]:
     """Return the document of the case of `grid` at `solution`; machines are without dynamic data.
 
     exponents : how P and Q of loads follow the voltage where the file does not say. constant : number of a
-    unit -> exponent, for those that are no machine but an injection. converters : numbers of units that are
-    converters, whose controls are not given here.
+    unit -> exponent, for those that are no machine but an injection. converters, svcs : numbers of units that
+    are converters or SVCs, whose controls are not given here.
     """
     constant = constant or {}
     volts = dict(solution.voltages)
@@ -84,6 +87,7 @@ def document_of(
     machines: dict[str, Any] = {}
     injections: dict[str, Any] = {}
     plants: dict[str, Any] = {}
+    compensators: dict[str, Any] = {}
     for k, (unit, power) in enumerate(units):
         if k in constant:
             injections[names[k]] = {
@@ -100,6 +104,8 @@ def document_of(
                 "P_mw": power.real,
                 "Q_mvar": power.imag,
             }
+        elif k in svcs:
+            compensators[names[k]] = _svc(unit, power)
         else:
             machines[names[k]] = _machine(grid, unit, power, abs(volts[unit.bus]))
     _mark_slack(grid, solution, machines, units, names, volts)
@@ -113,6 +119,7 @@ def document_of(
         "shunts": _shunts(grid),
         "loads": _loads(grid, solution, exponents) | injections,
         "machines": machines,
+        **({"svcs": compensators} if compensators else {}),
         **({"converters": plants} if plants else {}),
     }
 
@@ -129,6 +136,15 @@ def _machine(grid: StaticGrid, unit: StaticUnit, power: complex, volts: float) -
         "Q_mvar": power.imag,
         "V_pu": volts,
     }
+
+
+def _svc(unit: StaticUnit, power: complex) -> dict[str, Any]:
+    if not abs(power.real) <= LEAST_SVC_P * unit.base:
+        raise CaseError(
+            f"{unit.where}: unit {unit.identity} at bus {unit.home} is an SVC in the DYR and gives "
+            f"{power.real:g} MW, allowed: 0; set its PG to 0 and its bus to another type than 3"
+        )
+    return {"bus": unit.bus, "base_mva": unit.base, "Q_mvar": power.imag}
 
 
 def _mark_slack(

@@ -34,6 +34,7 @@ CONVERTERS = frozenset(
 )
 
 CONVERTER = "converter"  #: kind of the devices of these
+SVC = "svc"  #: kind of the devices of units that are SVCs
 _CURRENTS = "; --converters current takes converters as constant currents"
 
 #: models that only trip or measure
@@ -62,14 +63,20 @@ class Dynamics:
     """What a DYR file says of the units of a grid.
 
     rows : name of a machine -> keys to merge into its row. where : name -> file:line of its machine model.
-    constant : name of a unit without machine model -> exponent of its injection. converters : name of a unit
-    that is a converter -> its control.
+    constant : name of a unit without machine model -> exponent of its injection. converters, svcs : name of a
+    unit that is a converter or an SVC -> keys to merge into its row.
     """
 
     rows: dict[str, dict[str, Any]]
     where: dict[str, str]
     constant: dict[str, float]
     converters: dict[str, dict[str, Any]] = dataclasses.field(default_factory=dict)
+    svcs: dict[str, dict[str, Any]] = dataclasses.field(default_factory=dict)
+
+    @property
+    def no_machines(self) -> set[str]:
+        """Names of the units that are none."""
+        return self.constant.keys() | self.converters.keys() | self.svcs.keys()
 
 
 def read_dynamics(path: Path, own: Mapping[str, Model] = NONE) -> DyrFile:
@@ -155,12 +162,14 @@ def machine_dynamics(
         if name is not None:
             units.take(name, record, *_row(record, own, records, report))
     units.check_converters()
+    units.check_svcs()
     units.take_the_rest(1.0 if converters_as_current else 0.0)
-    converters = {name: row[CONVERTER] for name, row in units.rows.items() if CONVERTER in row}
-    machines = units.rows.keys() - units.constant.keys() - converters.keys()
+    converters = {n: {"control": row[CONVERTER]} for n, row in units.rows.items() if CONVERTER in row}
+    svcs = {n: {"control": row[SVC], **units.regulated(n)} for n, row in units.rows.items() if SVC in row}
+    machines = units.rows.keys() - units.constant.keys() - converters.keys() - svcs.keys()
     rows = {name: row for name, row in units.rows.items() if name in machines}
     report.lines += _without_controls(rows)
-    return Dynamics(rows, units.where, units.constant, converters)
+    return Dynamics(rows, units.where, units.constant, converters, svcs)
 
 
 class _Units:
@@ -172,6 +181,7 @@ class _Units:
         self.seen: dict[tuple[str, str], str] = {}  #: name of a unit and kind of a model -> file:line
         self.where: dict[str, str] = {}
         self.constant: dict[str, float] = {}
+        self.records: dict[str, DyrRecord] = {}  #: of SVCs
 
     def take_converters(self, records: Iterable[DyrRecord]) -> None:
         """Make the converters among the units constant currents."""
@@ -217,6 +227,9 @@ class _Units:
         elif kind == MACHINE:
             self.where[name] = record.where
             self.rows[name] |= row
+        elif kind == SVC:
+            self.where[name], self.records[name] = record.where, record
+            self.rows[name][kind] = {"source": f"{self.path.name}, {record.model}", **row}
         else:
             self.rows[name][kind] = {"source": f"{self.path.name}, {record.model}", **row}
         self.report.read[record.model] += 1
@@ -234,6 +247,21 @@ class _Units:
             if others:
                 what = f"{sorted(others)[0]!r} beside a converter"
                 raise CaseError(f"{place}: {name} has {what}, allowed: records of one of both")
+
+    def check_svcs(self) -> None:
+        """Check that no SVC has a record that belongs to a machine."""
+        for name, record in self.records.items():
+            if len(self.rows[name]) > 1:
+                what = next(at for (unit, model), at in self.seen.items() if unit == name and model != SVC)
+                raise CaseError(
+                    f"{record.where}: {name} is an SVC and at {what} a machine, allowed: one of both"
+                )
+
+    def regulated(self, name: str) -> dict[str, int]:
+        """Return the bus that an SVC regulates where it is not its own: the first field of its record."""
+        record = self.records[name]
+        bus = Record(record.model, record.fields, record.where, {"IB": 0}).whole("IB")
+        return {"regulates": bus} if bus not in (0, record.bus) else {}
 
     def take_the_rest(self, exponent: float) -> None:
         """Make the units without any record constant P and Q (exponent 0) or currents (1)."""

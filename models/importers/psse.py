@@ -87,7 +87,7 @@ def import_psse(
         dynamics = machine_dynamics(
             read, machine_of, out, report, converters_as_current=converters_as_current, own=own
         )
-        if len(dynamics.constant) + len(dynamics.converters) == len(names):
+        if len(dynamics.no_machines) == len(names):
             raise CaseError(f"{dyr}: no machine model for any unit of {path.name}, allowed: at least one")
         _compare_reactances(grid, names, dynamics, report)
         grid.source += f" and {Path(dyr).name}"
@@ -99,9 +99,11 @@ def import_psse(
         exponents=exponents,
         constant={names.index(n): exponent for n, exponent in dynamics.constant.items()},
         converters={names.index(n) for n in dynamics.converters},
+        svcs={names.index(n) for n in dynamics.svcs},
     )
-    for key, control in dynamics.converters.items():
-        document["converters"][key]["control"] = control
+    for table, rows in (("converters", dynamics.converters), ("svcs", dynamics.svcs)):
+        for key, row in rows.items():
+            document[table][key] |= row
     for key, row in dynamics.rows.items():
         document["machines"][key] |= row
     document["devices"] = provided["devices"]
@@ -126,7 +128,7 @@ def _case_with_lines(document: dict[str, Any], where: str, lines: Mapping[str, s
     try:
         return case_of(document, where=where)
     except CaseError as error:
-        machine = re.search(r"(?:machines|converters)\.(\w+)", str(error))
+        machine = re.search(r"(?:machines|converters|svcs)\.(\w+)", str(error))
         line = lines.get(machine.group(1)) if machine else None
         raise CaseError(f"{error} (given at {line})" if line else str(error)) from None
 

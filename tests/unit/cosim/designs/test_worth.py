@@ -47,7 +47,10 @@ def test_a_rival_has_equal_order_effort_and_points(
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"local": "G3_dw"}, "the machine of G4_vs has no signal among G2_dw, G3_dw; add one of its own"),
+        (
+            {"local": "G3_dw"},
+            "G4_vs has no signal of its own machine among G2_dw, G3_dw; add one of its own, such as G4_dw",
+        ),
         (
             {
                 "remote": None,
