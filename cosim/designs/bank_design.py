@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import control
 
+from interarea.design.certificates.signal_margins import signal_margins
 from interarea.design.certificates.switching import (
     BankLoop,
     SwitchingCertificate,
@@ -172,15 +173,22 @@ def bank_worth(table: DesignTable, bank: ControllerBank, cache: Path) -> SignalW
     )
 
 
+def bank_margins(table: DesignTable, bank: ControllerBank, cache: Path) -> tuple[dict[str, Any], ...]:
+    """Return the margins of each signal, as `SignalMargin.as_dict`, while all are there."""
+    plants = {name: each.judged for name, each in family_plants(table, cache).items()}
+    return tuple(margin.as_dict() for margin in signal_margins(plants, bank.acting(()).system))
+
+
 def judged_bank(
     table: DesignTable,
     bank: ControllerBank,
     switching: SwitchingCertificate,
     worth: SignalWorth,
+    margins: Sequence[Mapping[str, Any]],
     faults: Mapping[str, Any] | None,
 ) -> ControllerBank:
     """Return a bank with the design that judged it, and what was found, in its record."""
-    record = {**switching.as_dict(), "worth": worth.as_dict(), "acceptance": faults}
+    record = {**switching.as_dict(), "worth": worth.as_dict(), "margins": margins, "acceptance": faults}
     design = {**bank.design, "specification": design_record(table)}
     return replace(bank, design=design, certificate=plain(record))
 

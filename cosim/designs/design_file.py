@@ -39,7 +39,7 @@ from .design_tables import (
     StageTable,
     TargetTable,
 )
-from .family import family_cases, family_plants, with_mode_changes
+from .family import family_cases, family_plants, with_margins, with_mode_changes
 from .first_swing import FaultRow, FaultTable, after_fault, predicted_drive
 from .swing_sensitivity import FirstSwingTable, swing_penalty
 
@@ -387,6 +387,7 @@ def certify(
     """
     linear, faults, accepting = CERTIFICATE_STEPS
     certificate = judge(table, controller.system, cache, progress=lambda share: progress(linear, share))
+    certificate = with_margins(certificate, table, controller.system, cache)
     if acceptance and table.acceptance is not None:
         tried = judge_acceptance(
             controller,

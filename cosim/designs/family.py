@@ -12,6 +12,7 @@ import control
 
 from interarea.design.certificates.large_loop import LargePlant
 from interarea.design.certificates.mode_changes import ModeChange, mode_changes
+from interarea.design.certificates.signal_margins import signal_margins
 from interarea.design.delay.signal_conditions import Condition
 from interarea.design.linear.linearise import remove_reference, speeds_in_rad
 from interarea.design.linear.sparse_plant import SparsePlant
@@ -124,6 +125,14 @@ def family_plants(table: Family, cache: Path) -> dict[str, FamilyPlant]:
         name: FamilyPlant.of(case, table.signals, table.actuators, cache)
         for name, case in family_cases(table).items()
     }
+
+
+def with_margins(
+    judged: FamilyCertificate, table: Family, K: control.StateSpace, cache: Path
+) -> FamilyCertificate:
+    """Add to a certificate how much later, larger or smaller each signal may come."""
+    plants = {name: each.judged for name, each in family_plants(table, cache).items()}
+    return replace(judged, margins=tuple(margin.as_dict() for margin in signal_margins(plants, K)))
 
 
 def with_mode_changes(

@@ -74,7 +74,7 @@ def delay_margin_of(loop: DelayedLoop, signals: tuple[str, ...], *, upto_s: floa
         def excess(omega: float, branch: int = branch) -> float:
             return float(sizes(omega)[0][branch]) - 1.0
 
-        for w in _unit_crossings(excess, grid, table[:, branch] - 1.0):
+        for w in unit_crossings(excess, grid, table[:, branch] - 1.0):
             angle = float(np.angle(sizes(w)[1][branch])) % (2.0 * np.pi)
             names.add((angle / w, w))
     crossings = tuple(sorted(c for c in names if c[0] <= upto_s))
@@ -117,7 +117,7 @@ def _resonance_grid(*args: Matrix | float) -> Matrix:
     return np.unique(grid[(grid >= bottom) & (grid <= top)])
 
 
-def _unit_crossings(f: Callable[[float], float], grid: Matrix, values: Matrix) -> list[float]:
+def unit_crossings(f: Callable[[float], float], grid: Matrix, values: Matrix) -> list[float]:
     """Zeros of f between grid points, peaks that rise above zero between them included."""
     zeros = []
     for k in range(grid.size - 1):

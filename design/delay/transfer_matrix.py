@@ -63,7 +63,7 @@ class ModalForm(TransferMatrix):
         poles, vectors = np.linalg.eig(A) if A.size else (np.zeros(0, complex), np.zeros((0, 0)))
         self.poles = np.asarray(poles, dtype=np.complex128)
         left = np.linalg.solve(vectors, B.astype(complex)) if A.size else np.zeros((0, B.shape[1]))
-        self._residues = np.einsum("ij,jk->jik", C @ vectors, left).reshape(len(self.poles), -1)
+        self._residues = np.einsum("ij,jk->jik", C @ vectors, left).reshape(len(self.poles), self._D.size)
 
     def at(self, s: ComplexArray) -> ComplexArray:
         """Return the transfer matrix (N, outputs, inputs) at s (N,)."""

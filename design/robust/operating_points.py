@@ -69,6 +69,9 @@ class FamilyCertificate:
     not_covered: str = ""  #: in words: what it says nothing of
     #: each mode of the open loops with what is left of it (`ModeChange`), nothing lost; None: not asked for
     modes: tuple[Mapping[str, Any], ...] | None = None
+    #: how much later, larger or smaller each signal may come (`SignalMargin`), the least of all points; None:
+    #: not looked at
+    margins: tuple[Mapping[str, Any], ...] | None = None
 
     @property
     def passed(self) -> bool:
@@ -78,8 +81,9 @@ class FamilyCertificate:
     def as_dict(self) -> dict[str, Any]:
         """Return the record as JSON values."""
         record = asdict(self)
-        if self.modes is None:
-            del record["modes"]
+        for name in ("modes", "margins"):
+            if record[name] is None:
+                del record[name]
         return {**record, "passed": self.passed}
 
 

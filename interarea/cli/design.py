@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .certificates.bank import certify_bank
+from .certificates.curves import curves_of
 from .certificates.wrong_signals import certify_wrong, check_wrong_options
 from .study import Minutes, design_for_grid
-from .terminal import busy, print_table, show_rows, show_worth, stage_progress
+from .terminal import busy, print_table, show_margins, show_rows, show_worth, stage_progress
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -241,6 +242,15 @@ def certify(
             show_default=False,
         ),
     ] = None,
+    page: Annotated[
+        Path | None,
+        typer.Option(
+            "--page",
+            metavar="FILE.html",
+            help="page with curves of damping over latency and scale, which --json then has too",
+            show_default=False,
+        ),
+    ] = None,
     json_: Annotated[bool, typer.Option("--json", help="print JSON instead of a table")] = False,
 ) -> None:
     """Recompute a controller's certificate on full linear plants, exact latency; exit code 1 if it fails.
@@ -255,7 +265,10 @@ def certify(
 
     if out is not None:
         file_for(out)
-    check_wrong_options(wrong_signals, detector, others=acceptance or worth or out is not None)
+    if page is not None:
+        file_for(page, "--page", suffix=".html")
+    others = acceptance or worth or out is not None or page is not None
+    check_wrong_options(wrong_signals, detector, others=others)
     loaded, table = _judged(controller, case, spec, conditions)
     if acceptance and table.acceptance is None:
         raise ScenarioError(
@@ -265,13 +278,16 @@ def certify(
         certify_wrong(loaded, table, detector, json_=json_)
         return
     if isinstance(loaded, ControllerBank):
-        certify_bank(loaded, table, json_, out, acceptance=acceptance)
+        certify_bank(loaded, table, json_, out, page, acceptance=acceptance)
         return
     certificate = _certified(loaded, table, out, acceptance=acceptance, worth=worth)
+    curves = {} if page is None else curves_of(page, table, loaded.name, loaded.system, certificate.margins)
     if json_:
-        typer.echo(json.dumps(certificate.as_dict(), indent=2, allow_nan=False))
+        typer.echo(json.dumps(certificate.as_dict() | curves, indent=2, allow_nan=False))
     else:
         _show(loaded.name, certificate, table)
+        if page is not None:
+            typer.echo(page)
         if not acceptance:
             from interarea.cosim.designs.certificate_words import first_failures, kept_certificate
 
@@ -344,7 +360,7 @@ def _design_bank(table: DesignTable, out: Path, json_: bool) -> None:
         bank, missed = run_bank_design(table, default_cache(), progress=report)
     out.parent.mkdir(parents=True, exist_ok=True)
     bank.save(out)
-    certify_bank(bank, table, json_, None, acceptance=False)
+    certify_bank(bank, table, json_, None, None, acceptance=False)
     for line in missed:
         typer.echo(f"violated: {line}", err=json_)
     if missed:
@@ -378,6 +394,8 @@ def _show(name: str, certified: FamilyCertificate, table: DesignTable) -> None:
     )
     if certified.modes is not None:
         typer.echo(f"nothing lost: {most_taken(certified.modes)}")
+    if certified.margins is not None:
+        show_margins(certified.margins)
     for lost, gain in certified.loss_criterion.items():
         typer.echo(f"{lost} lost: loop gain of the rest at real s {gain:.3f} (unstable above 1)")
     if certified.drive is not None:

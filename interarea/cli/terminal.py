@@ -267,3 +267,11 @@ def show_worth(result: Mapping[str, Any]) -> None:
             table_rows(result),
         )
     typer.echo(result["sentence"])
+
+
+def show_margins(margins: Sequence[Mapping[str, Any]]) -> None:
+    """Print how much later, larger or smaller each signal may come, in two lines."""
+    from interarea.design.certificates.signal_margins import in_words
+
+    for line in in_words(margins):
+        typer.echo(line)

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from ..terminal import busy, show_rows, show_worth, stage_progress
+from ..terminal import busy, show_margins, show_rows, show_worth, stage_progress
+from .curves import curves_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -16,18 +17,25 @@ if TYPE_CHECKING:
     from interarea.cosim.designs.design_file import DesignTable
     from interarea.design.certificates.switching import SwitchingCertificate
     from interarea.design.controllers.bank import ControllerBank
-    from interarea.design.robust.signal_worth import SignalWorth
 
 
 def certify_bank(
-    bank: ControllerBank, table: DesignTable, json_: bool, out: Path | None, *, acceptance: bool
+    bank: ControllerBank,
+    table: DesignTable,
+    json_: bool,
+    out: Path | None,
+    page: Path | None,
+    *,
+    acceptance: bool,
 ) -> None:
     """Print what is proven for every sequence of losses and, if asked for, what faults came to.
+
+    Margins and the curves of `page` are of the member that acts while all signals are there.
 
     Exit code 1 where faults hold without the bank and not with it.
     """
     from interarea.cosim.designs.acceptance import judge_acceptance
-    from interarea.cosim.designs.bank_design import bank_worth, judge_bank, judged_bank
+    from interarea.cosim.designs.bank_design import bank_margins, bank_worth, judge_bank, judged_bank
     from interarea.cosim.designs.bank_design import certify_bank as prove
     from interarea.cosim.designs.design_file import CERTIFICATE_STEPS
     from interarea.cosim.designs.family import family_cases
@@ -38,6 +46,7 @@ def certify_bank(
     with busy(f"certifying {bank.name}"):
         result = prove(plant_for_controllers(case, cache), bank)
         rows, worth = judge_bank(table, bank, cache), bank_worth(table, bank, cache)
+        margins = bank_margins(table, bank, cache)
     tried = None
     if acceptance and table.acceptance is not None:
         with stage_progress([CERTIFICATE_STEPS[-1]]) as report:
@@ -51,11 +60,15 @@ def certify_bank(
     faults = None if tried is None else tried.as_dict()
     if out is not None:
         out.parent.mkdir(parents=True, exist_ok=True)
-        judged_bank(table, bank, result, worth, faults).save(out)
+        judged_bank(table, bank, result, worth, margins, faults).save(out)
+    curves = {} if page is None else curves_of(page, table, bank.name, bank.acting(()).system, margins)
     if not json_:
         show_rows(bank.name, rows)
+        show_margins(margins)
         show_worth(worth.as_dict())
-    _show_bank(bank, table, result, faults, json_, worth)
+        if page is not None:
+            typer.echo(page)
+    _show_bank(bank, table, result, faults, json_, {"worth": worth.as_dict(), "margins": margins, **curves})
     unstable = [row for row in rows if not row.stable]
     for row in unstable:
         typer.echo(f"violated: {row.point}, {row.condition}: unstable", err=json_)
@@ -69,7 +82,7 @@ def _show_bank(
     result: SwitchingCertificate,
     faults: Mapping[str, Any] | None,
     json_: bool,
-    worth: SignalWorth,
+    more: Mapping[str, Any],
 ) -> None:
     from interarea.cosim.designs.certificate_words import bank_not_covered, in_words
 
@@ -78,7 +91,7 @@ def _show_bank(
         record = {
             **result.as_dict(),
             "acceptance": faults,
-            "worth": worth.as_dict(),
+            **more,
             "not_covered": missing,
         }
         typer.echo(json.dumps(record, indent=2))

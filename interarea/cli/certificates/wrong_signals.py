@@ -29,8 +29,8 @@ def check_wrong_options(wrong_signals: bool, detector: Path | None, *, others: b
         raise UserError("--detector: is of --wrong-signals, allowed: both or none")
     if wrong_signals and others:
         raise UserError(
-            "--wrong-signals: --acceptance, --worth and --out are of the plain certificate, allowed: one "
-            "call for each"
+            "--wrong-signals: --acceptance, --worth, --out and --page are of the plain certificate, allowed: "
+            "one call for each"
         )
 
 
