@@ -2,8 +2,8 @@ r"""Steps of the smoothed worst damping that follow every nearly worst eigenvalu
 
 A designed loop has dozens of eigenvalues that are equally bad. The objective has a slope jump wherever two
 of them are, so a quadratic of it, or the memory of a quasi-Newton method, holds for a fraction of the way to
-the next. Each eigenvalue alone runs nearly straight. With :math:`v_k` what is left of its damping, :math:`g_k` its
-gradient and :math:`p_k \propto e^{\rho v_k}`, a step is the least value over :math:`x` of
+the next. Each eigenvalue alone runs nearly straight. With :math:`v_k` what is left of its damping,
+:math:`g_k` its gradient and :math:`p_k \propto e^{\rho v_k}`, a step is the least value over :math:`x` of
 
 .. math:: \frac1\rho \log \sum_k e^{\rho (v_k + g_k^T x)} + \tfrac12 x^T |H| x
     + \sum_j \max(0, h_j + r_j^T x)^2 + \tfrac\sigma2 |x|^2 ,\qquad H = \sum_k p_k \nabla^2 v_k ,
