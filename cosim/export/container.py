@@ -9,6 +9,7 @@ from pathlib import Path
 
 from interarea.fmu_build.write.description_xml import record_entries
 from interarea.fmu_build.write.package import build_fmu
+from interarea.fmu_build.write.real_code import Chain
 from interarea.models.blocks.binary_table import pack_record
 from interarea.models.blocks.container import LoopMember, loop_block
 from interarea.models.blocks.variables import Block
@@ -87,6 +88,33 @@ def container_block(
         )
     except ValueError as error:
         raise ScenarioError(str(error)) from None
+
+
+def chain_of(
+    scenario: Scenario, *, cache: Path, controller: ControllerLike | None = None, case: Case | None = None
+) -> Chain:
+    """Return what lies between the plant and its inputs: PMUs, channels and controller, for `build_dll`.
+
+    Latencies, losses and outages are parameters that begin as the scenario has them.
+
+    Raises
+    ------
+    ScenarioError : members that a chain cannot hold, or none.
+    """
+    loop = members_of(scenario, cache=cache, controller=controller, case=case)
+    order = {"pmu": 0, "channel": 1, "controller": 2, "supervisor": 2}
+    parts = [(m.name, m.baked()) for m in loop.all if m.block is not None and m.block.kind != "plant"]
+    strange = [m.name for m in loop.all if m.block is None and m.name != "plant"]
+    strange += [name for name, block in parts if block.kind not in order]
+    if strange or not parts:
+        raise ScenarioError(
+            f"{scenario.name}: a chain is made of PMUs, channels and a controller, here are "
+            f"{', '.join(strange) or 'none'}"
+        )
+    members = dict(sorted(parts, key=lambda part: order[part[1].kind]))
+    inside = [c for c in loop.connections if all(end.partition(".")[0] in members for end in c)]
+    name, description = f"{_identifier(scenario.name)}_chain", f"Chain of {', '.join(members)}"
+    return Chain(name, members, inside, description, {"scenario": scenario.name})
 
 
 def _identifier(name: str) -> str:

@@ -11,6 +11,7 @@ from interarea.fmu_build.open.fmu_file import FmuFile
 from interarea.models.blocks.variables import Block, VariableTable
 from interarea.models.case.case import Case
 
+from ..errors import ScenarioError
 from ..master.instances import Value
 from ..master.step_choice import choose_step
 from ..run.controllers import ControllerLike
@@ -70,9 +71,13 @@ def members_of(
 
     Raises
     ------
-    ScenarioError, CaseError, GraphError : as `system_of`.
+    ScenarioError, CaseError, GraphError : as `system_of`; DLLs among the instances.
     """
     system = system_of(scenario, cache=cache, controller=controller, case=case, fmus=fmus).warned()
+    if system.others:
+        raise ScenarioError(
+            f"{scenario.name}: {', '.join(system.others)} run as DLLs, which an archive of FMUs cannot hold"
+        )
     members = tuple(
         Member(i.name, i.file, None if i.block is None else i.block(), i.start)
         for i in system.instances.values()

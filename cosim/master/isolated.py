@@ -27,14 +27,13 @@ from pathlib import Path
 from typing import IO, Any
 
 from interarea.fmu_build.open.fmu_file import FmuFile
-from interarea.fmu_build.open.ports import Description
+from interarea.fmu_build.open.ports import DLL_SUFFIXES, Description
 from interarea.fmu_build.write.lane_library import GroupLibrary
 from interarea.models.processes import end_with_parent
 
 from ..errors import ScenarioError, StepError
 from .fmu_log import FmuLog
 from .instances import FmuParticipant, Value
-from .real_code import DLL_SUFFIXES as DLL_SUFFIXES
 from .real_code import ServedRealCode
 
 _PATIENCE_S = 5.0

@@ -14,7 +14,6 @@ from ..errors import GraphError, StepError, nearest
 from .fmu_log import FmuLog
 from .instances import Value
 
-DLL_SUFFIXES = (".dll", ".so", ".dylib")
 _SLACK = 1e-9  #: of a sample time: instants this close are the same
 
 

@@ -17,6 +17,7 @@ from interarea.design.controllers.bundled import (
     shipped_names,
 )
 from interarea.design.controllers.controller import Controller, ControllerError
+from interarea.fmu_build.open.ports import DLL_SUFFIXES
 from interarea.fmu_build.write.cache import (
     artefact,
     code_hash,
@@ -69,6 +70,10 @@ def controller_of(
     path = folder / name
     if path.is_dir():
         raise ControllerError(f"controller {path}: is a folder, wanted: a JSON file or an FMU")
+    if path.suffix in DLL_SUFFIXES:
+        raise ScenarioError(
+            f"controller = {name!r} is a DLL, its equations are not known; use it in a run or a `System`"
+        )
     if path.suffix == ".fmu":
         return controller_from_fmu(path, case.omega_b)
     if not path.is_file():

@@ -61,7 +61,7 @@ class NotLinearError(InterareaError, ValueError):
 class Loop:
     """What a linear loop is made of: scenario, case, instances; `bank` where the controller is one.
 
-    fmus : opened files, with the linear plants and swings found before.
+    fmus : opened files, with the linear plants and swings found before. others : instances that are no FMUs.
     """
 
     scenario: Scenario
@@ -70,6 +70,7 @@ class Loop:
     controller: Instance | None
     bank: ControllerBank | None
     fmus: Fmus
+    others: tuple[str, ...] = ()
 
     @property
     def kept(self) -> dict[Any, Any]:
@@ -95,6 +96,8 @@ def linear_swings(loop: Loop) -> LoopModes | str:
 def _swings(loop: Loop) -> LoopModes:
     scenario, part = loop.scenario, loop.controller
     start, stop = fit_window(scenario)
+    if loop.others:
+        raise NotLinearError(f"{', '.join(loop.others)} may do anything")
     _refuse(scenario, start, stop)
     paths = {path.signal: _sent(loop, path, start) for path in scenario.signals}
     buses = {path.signal: path.pmu.bus for path in scenario.signals if path.pmu is not None}

@@ -9,13 +9,13 @@ from typing import Any
 
 from interarea.design.controllers.bank import ControllerBank
 from interarea.design.controllers.controller import Controller
+from interarea.fmu_build.open.ports import DLL_SUFFIXES, Description
 from interarea.models.blocks.plant import event_parameters
 from interarea.models.case.case import Case
 from interarea.models.errors import Collected
 from interarea.models.files import together
 
 from ..errors import ScenarioError, StepError, nearest
-from ..master.real_code import DLL_SUFFIXES
 from ..results.result import Result
 from ..results.ringdown import Swing
 from ..results.run import METRICS_FILES, Run
@@ -75,7 +75,8 @@ def run_system(
     _refuse_joint(loaded)
     system = _with_warnings(system_of(loaded, case=case, controller=controller, cache=cache))
     if controller is not None and system.swing is not None:
-        name = system.parts[CONTROLLER].file.description.title if CONTROLLER in system.parts else "none"
+        description = _description_of_controller(system)
+        name = "none" if description is None else description.title
         system.scenario = loaded.model_copy(update={"controller": name})  # results tell what ran
     return system.run(progress=progress)
 
@@ -251,12 +252,12 @@ def _add_own(system: System, name: str, path: Path, table: FmuTable) -> None:
 def _add_controller(
     system: System, scenario: Scenario, which: ControllerLike
 ) -> Controller | ControllerBank | None:
-    """Add a controller, changed as the scenario says, and return it as it was before; None of an FMU.
+    """Add a controller, changed as the scenario says, and return it as it was before; None of an FMU or DLL.
 
     A named one is designed for the case as the file has it: another operating point changes no design.
     """
     if isinstance(which, str | Path):
-        if Path(which).suffix == ".fmu":
+        if Path(which).suffix in (".fmu", *DLL_SUFFIXES):
             system.controller(which)
             return None
         controller = controller_of(which, scenario.as_given(system.case), system.fmus.cache)
@@ -280,11 +281,10 @@ def _connect_signals(system: System, scenario: Scenario) -> None:
     """Connect what a scenario leaves to names: signals through channels, the others directly."""
     plant = system.parts[PLANT].file.description
     signals, inputs = [p.name for p in plant.outputs], plant.input_of
-    controller = system.parts.get(CONTROLLER)
+    description = _description_of_controller(system)
     title, requested, taken = "", [], {}
-    if controller is not None:
+    if description is not None:
         # beside its Real signals a supervisor has flags of validity, and tells which member is active
-        description = controller.file.description
         title, taken = description.title, description.input_of
         requested = [p.name for p in description.inputs if p.type == "Real"]
         outputs = [p.name for p in description.outputs if p.type == "Real"]
@@ -298,7 +298,7 @@ def _connect_signals(system: System, scenario: Scenario) -> None:
         with wrong:
             _connect_source(system, path, signals, where)
         witness = scenario.detector is not None and signal not in requested
-        if controller is not None and not witness and (path.pmu is not None or signal in signals):
+        if description is not None and not witness and (path.pmu is not None or signal in signals):
             with wrong:
                 _known(signal, requested, f"{where} is no input of controller {title}")
             system.connections.append((y, f"{CONTROLLER}.{signal}"))
@@ -308,6 +308,14 @@ def _connect_signals(system: System, scenario: Scenario) -> None:
             _known(signal, signals, f"controller {title}: input {signal!r} is no output of the plant")
         system.connections.append((f"{PLANT}.{signal}", f"{CONTROLLER}.{signal}"))
     wrong.end(ScenarioError)
+
+
+def _description_of_controller(system: System) -> Description | None:
+    """Return the ports of the controller, an FMU or a DLL; None where there is none."""
+    if CONTROLLER in system.others:
+        return system.others[CONTROLLER].description
+    part = system.parts.get(CONTROLLER)
+    return None if part is None else part.file.description
 
 
 def _unknown_buses(scenario: Scenario, case: Case) -> list[str]:

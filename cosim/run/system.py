@@ -26,6 +26,7 @@ from pydantic import ValidationError
 
 from interarea.design.controllers.bank import ControllerBank
 from interarea.design.delay.loop_modes import LoopModes
+from interarea.fmu_build.open.ports import DLL_SUFFIXES
 from interarea.fmu_build.write.cache import default_cache
 from interarea.models.blocks.channel import channel_block
 from interarea.models.blocks.concentrator import concentrator_block
@@ -39,7 +40,7 @@ from ..clock import on_tick, roundings
 from ..errors import GraphError, ScenarioError, ScenarioWarning, StepError, nearest
 from ..master.graph import end_of, pairs_of
 from ..master.instances import FmuParticipant, Value
-from ..master.isolated import DLL_SUFFIXES, RealCodeParticipant, participant_of
+from ..master.isolated import RealCodeParticipant, participant_of
 from ..master.master import Master
 from ..master.plan import LoopPlan
 from ..master.records import Sink
@@ -104,7 +105,7 @@ class System:
         self.warnings: list[str] = []  #: what the scenario says that is probably unintended
         self.rounded: list[str] = []  #: times that lay between two ticks of the clock, and what they became
         self.parts: dict[str, Instance] = {}
-        self._others: dict[str, Participant] = {}
+        self.others: dict[str, Participant] = {}  #: that are no FMUs: DLLs, participants of one's own
         self.plants: dict[str, Case] = {}
         self.shows: dict[str, tuple[str, ...]] = {}
         self.pmus: dict[str, PmuFilter] = {}
@@ -127,7 +128,7 @@ class System:
         return self.put(Instance(name, self.fmus.plant(loaded, self._slots(name), self.shows[name])))
 
     def controller(self, controller: ControllerLike, name: str = CONTROLLER, trust: bool = False) -> System:
-        """Add a controller: an object, its file, any FMU (``.fmu``), or a name (see `controller_of`).
+        """Add a controller: an object, its file, an FMU, an IEEE/CIGRE DLL, or a name (see `controller_of`).
 
         A named one is designed for the plant added before, once into the cache. trust : with flags.
 
@@ -135,6 +136,8 @@ class System:
         ------
         ScenarioError : no such controller, or no plant to design it for.
         """
+        if isinstance(controller, str | Path) and Path(controller).suffix in DLL_SUFFIXES:
+            return self.fmu(name, controller)
         if isinstance(controller, str | Path) and Path(controller).suffix == ".fmu":
             return self.put(Instance(name, self.fmus.open(Path(controller))))
         if not self.plants:
@@ -161,8 +164,7 @@ class System:
     ) -> System:
         """Add any FMI 2.0 co-simulation FMU with start values for its parameters, states or inputs.
 
-        An IEEE/CIGRE DLL (``.dll``, ``.so``) takes part too: always in a process of its own, called at its
-        sample times; its start values are those of parameters, inputs and outputs.
+        An IEEE/CIGRE DLL takes part too: always in a process of its own, called at its sample times.
 
         start : start values by name; those whose names are no keywords of this method can be `values` too.
         latency_s : a promise that its inputs need at least that long to reach its outputs.
@@ -191,7 +193,7 @@ class System:
         self._free(participant.name)
         if latency_s:
             self.latency_s[participant.name] = latency_s
-        self._others[participant.name] = participant
+        self.others[participant.name] = participant
         return self
 
     def put(self, instance: Instance) -> System:
@@ -203,7 +205,7 @@ class System:
         return self
 
     def _free(self, name: str) -> None:
-        if name in self.parts or name in self._others:
+        if name in self.parts or name in self.others:
             raise ScenarioError(f"two instances are named {name!r}; each needs a name of its own")
 
     def channel(self, name: str, line: ChannelLine | None = None, **keys: Any) -> System:
@@ -313,10 +315,10 @@ class System:
 
     def participant(self, name: str) -> Participant:
         """Return an instance by name; the error names those there are."""
-        if name in self._others:
-            return self._others[name]
+        if name in self.others:
+            return self.others[name]
         if name not in self.parts:
-            raise GraphError(f"no instance {name!r}; {nearest(name, [*self.parts, *self._others])}")
+            raise GraphError(f"no instance {name!r}; {nearest(name, [*self.parts, *self.others])}")
         events = self._with_events(self.parts[name])
         return participant_of(name, events.file, events.start, **events.process)
 
@@ -353,7 +355,7 @@ class System:
         ------
         GraphError, ScenarioError : see `Master`.
         """
-        parts: list[Participant] = list(self._others.values())
+        parts: list[Participant] = list(self.others.values())
         if participants is None:
             parts += [participant_of(n, i.file, i.start, **i.process) for n, i in self.instances.items()]
         parts += participants or ()
@@ -427,7 +429,8 @@ class System:
         """Return what the linear loop of the system's scenario is made of."""
         assert self.scenario is not None
         controller = self.parts.get(CONTROLLER)
-        return Loop(self.scenario, self.case, self.parts[PLANT], controller, self.bank, self.fmus)
+        own = (self.parts[PLANT], controller, self.bank, self.fmus, tuple(self.others))
+        return Loop(self.scenario, self.case, *own)
 
     def self_test(self, master: Master | None = None) -> SelfTest:
         """Measure the latency of every connection; compare with the ledger (module `latency_test`)."""

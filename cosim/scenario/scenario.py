@@ -94,6 +94,7 @@ from pydantic import (
     model_validator,
 )
 
+from interarea.fmu_build.open.ports import DLL_SUFFIXES
 from interarea.models.documents import in_seconds
 from interarea.models.errors import Collected, UserError
 from interarea.models.mistakes import mistakes
@@ -152,7 +153,7 @@ class Scenario(Table):
     """A checked scenario; `folder` is where relative file names start."""
 
     case: str = ""  #: the grid: bundled name (`interarea list`), or a case file beside this one
-    #: none, a bundled name, a controller file or any FMU
+    #: none, a bundled name, a controller file, any FMU or DLL
     controller: Annotated[str, Field(min_length=1)] = "none"
     controller_gain: float = 1.0  #: factor on the controller's output, before its limit
     #: instead of the controller's own output limit
@@ -209,7 +210,7 @@ class Scenario(Table):
         """Refuse what does not go together, all of it at once."""
         wrong = [*self._without_a_case(), *self._names(), *self._signal_ends(), *self._times()]
         changed = self.controller_gain != 1.0 or self.controller_limit_pu is not None
-        if changed and (self.controller == "none" or self.controller.endswith(".fmu")):
+        if changed and (self.controller == "none" or self.controller.endswith((".fmu", *DLL_SUFFIXES))):
             wrong.append(
                 f"controller_gain and controller_limit_pu do nothing to controller = {self.controller!r}, "
                 "allowed: with a controller that is made here"

@@ -55,6 +55,7 @@ typedef struct {
     Record record;
     Block block;
     size_t n_real, n_integer;
+    int sampled;                /* `sampled` of the record, or block_is_sampled */
 
     RunState *run;              /* start of the saved piece                    */
     size_t saved_size;

@@ -78,6 +78,8 @@ static int read_tables(Instance *c, char *why)
     size_t count;
 
     if (read_layout(c, why) != 0 || read_variables(c, why) != 0) return 1;
+    const int32_t *sampled = record_i32(&c->record, "sampled", &count);
+    c->sampled = count == 1 ? sampled[0] : block_is_sampled;
     const int32_t *parameter = record_i32(&c->record, "internal_step.parameter", &count);
     c->step_parameter = count == 1 && parameter[0] >= 0 ? (size_t)parameter[0] : c->n_real;
     if (count > 0 && !(c->step_parameter < c->n_real)) return unfit(why, ": `internal_step.parameter` is no variable");

@@ -9,6 +9,7 @@ from typing import Literal
 from .units import UnitOf
 
 Type = Literal["Real", "Integer", "Boolean"]
+DLL_SUFFIXES = (".dll", ".so", ".dylib")  #: of IEEE/CIGRE DLLs, which take part beside FMUs
 
 
 @dataclass(frozen=True)

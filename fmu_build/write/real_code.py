@@ -7,14 +7,16 @@ the block's record into the place that the library holds for it: nothing is comp
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from interarea.models.blocks.binary_table import pack_record
-from interarea.models.blocks.variables import Block, Variable
+from interarea.models.blocks.container import CHAIN_KINDS, chain_sources, shown_name
+from interarea.models.blocks.variables import Block, Role, Variable
 from interarea.models.files import write_whole
 
 from ..errors import BuildError
@@ -26,7 +28,7 @@ _C = Path(__file__).resolve().parents[1] / "c"
 _LAYER = ("fmi2_common", "fmi2_cs", "fmi2_values", "instance", "placement", "solver")
 _MARK = b"interarea-record"
 _LEAST_ROOM = 1 << 14
-MOST_SIGNALS, MOST_PARAMETERS = 256, 1024  #: c/dll/real_code.c
+MOST_MEMBERS, MOST_SIGNALS, MOST_PARAMETERS = 24, 256, 1024  #: c/dll/real_code.c
 UNBOUNDED = 1e30  #: range of a parameter that has none: tools want a number
 
 #: Where such a library runs, by name; tools with 32 bits (ATP) take win32.
@@ -37,15 +39,40 @@ DLL_PLATFORMS: dict[str, Platform] = {
 }
 
 
+@dataclass(frozen=True)
+class Chain:
+    """Blocks that one DLL calls one after the other: PMUs and channels before the controllers that they feed.
+
+    members : by name, in the order of the calls. connections : ("member.output", "member.input"), forwards.
+    Controllers' ports keep their names, those of the others and all parameters go behind the member's.
+    """
+
+    name: str
+    members: Mapping[str, Block]
+    connections: Sequence[tuple[str, str]] = ()
+    description: str = ""
+    provenance: Mapping[str, str] = field(default_factory=dict)
+    kind = "chain"
+
+
+@dataclass(frozen=True)
+class _Port:
+    """A variable that the DLL shows, the name it has there, and the number of its member."""
+
+    member: int
+    shown: str
+    variable: Variable
+
+
 def build_dll(
-    block: Block,
+    block: Block | Chain,
     path: Path | str,
     *,
     platform: str,
     sample_time_s: float = 0.001,
     cache: Path | None = None,
 ) -> Path:
-    """Write `block` as an IEEE/CIGRE DLL; return its path.
+    """Write a block or a chain of them as an IEEE/CIGRE DLL; return its path.
 
     Parameters
     ----------
@@ -66,8 +93,11 @@ def build_dll(
     to, path = DLL_PLATFORMS[platform], Path(path)
     if path.is_dir():
         path = path / f"{block.name}{to.suffix}"
-    record = pack_record(record_entries(block) | _description(block, sample_time_s))
-    library = compile_for(f"{block.kind}-dll", dll_sources(block, len(record)), to, cache=cache).read_bytes()
+    record = pack_record(_entries(block, sample_time_s))
+    sources = chain_sources() if isinstance(block, Chain) else block.sources
+    library = compile_for(
+        f"{block.kind}-dll", dll_sources(sources, len(record)), to, cache=cache
+    ).read_bytes()
     at = library.find(_MARK)
     if at < 0 or library.count(_MARK) != 1:
         raise BuildError(
@@ -77,7 +107,7 @@ def build_dll(
     return write_whole(path, library[:begin] + record + library[begin + len(record) :])
 
 
-def dll_sources(block: Block, record_size: int) -> dict[str, bytes]:
+def dll_sources(block: Sequence[Path], record_size: int) -> dict[str, bytes]:
     """Return the C files of the library, flat, with room for a record of that many bytes.
 
     The functions of FMI are called inside only: a library that exported them could be given those of another.
@@ -87,7 +117,7 @@ def dll_sources(block: Block, record_size: int) -> dict[str, bytes]:
         room *= 2
     layer = tuple(p for p in fmi_sources() if p.stem in _LAYER)
     size = _C / "dll" / "real_code_size.h"
-    sources = gather_sources((*layer, *sorted((_C / "dll").glob("*.c")), *block.sources, record_source()))
+    sources = gather_sources((*layer, *sorted((_C / "dll").glob("*.c")), *block, record_source()))
     sources[size.name] = sources[size.name].replace(b"16384", str(room).encode())
     name = "fmi2Functions.h"
     sources[name], count = re.subn(rb"(#\s*define FMI2_Export).*", rb"\1", sources[name])
@@ -107,43 +137,108 @@ def port_name(name: str) -> str:
 
 def parameters_of(block: Block) -> list[Variable]:
     """Return the parameters that a tool's user sees: not the entries of matrices, which are the design."""
-    table = block.table
-    both = (*table.of_role("parameter"), *table.of_role("parameter", integers=True))
-    return [v for v in both if not re.fullmatch(r"[A-Za-z_]\w*\[\d+,\d+\]", v.name)]
+    parameters = _of_role(block, "parameter")
+    return [v for v in parameters if not re.fullmatch(r"[A-Za-z_]\w*\[\d+,\d+\]", v.name)]
 
 
-def _description(block: Block, sample_time_s: float) -> dict[str, npt.ArrayLike | bytes]:
-    """What Model_GetInfo tells, as entries of the record (c/dll/real_code.c)."""
-    table = block.table
-    inputs = [*table.of_role("input"), *table.of_role("input", integers=True)]
-    outputs = [*table.of_role("output"), *table.of_role("output", integers=True)]
-    parameters = parameters_of(block)
-    if not (block.kind != "plant" and max(len(inputs), len(outputs)) <= MOST_SIGNALS):
+def _of_role(block: Block, role: Role) -> list[Variable]:
+    return [*block.table.of_role(role), *block.table.of_role(role, integers=True)]
+
+
+def _ports(block: Block | Chain) -> tuple[list[_Port], list[_Port], list[_Port]]:
+    """Inputs, outputs and parameters that the DLL shows; what a connection feeds is no input."""
+    if isinstance(block, Block):
+        own = [_of_role(block, "input"), _of_role(block, "output"), parameters_of(block)]
+        inputs, outputs, parameters = ([_Port(0, v.name, v) for v in group] for group in own)
+        return inputs, outputs, parameters
+    found: tuple[list[_Port], list[_Port], list[_Port]] = ([], [], [])
+    fed = {target for _, target in block.connections}
+    for k, (name, b) in enumerate(block.members.items()):
+        kind = "controller" if b.kind in ("controller", "supervisor") else "channel"
+        for ports, group in zip(found, _ports(b), strict=True):
+            for v in (p.variable for p in group):
+                shown = f"{name}.{v.name}" if v.role == "parameter" else shown_name(name, kind, v)
+                if f"{name}.{v.name}" not in fed:
+                    ports.append(_Port(k, shown, v))
+    return found
+
+
+def _wires(chain: Chain) -> list[tuple[int, int, int, int, int]]:
+    """Of each connection: whether it is of integers, member and value reference at both ends.
+
+    Raises
+    ------
+    BuildError : an end that does not exist, one that leads backwards, or ports of two types.
+    """
+    numbers, rows = {name: k for k, name in enumerate(chain.members)}, []
+    for source, target in chain.connections:
+        ends = []
+        for end, role in ((source, "output"), (target, "input")):
+            member, _, port = end.partition(".")
+            table = chain.members[member].table if member in chain.members else ()
+            v = next((v for v in table if v.name == port and v.role == role), None)
+            if v is None:
+                raise BuildError(f"{chain.name}: {source} -> {target}: {end} is no {role} of a member")
+            ends.append(
+                (numbers[member], chain.members[member].table.value_reference(port), v.type != "Real")
+            )
+        if not (ends[0][0] < ends[1][0] and ends[0][2] == ends[1][2]):
+            raise BuildError(
+                f"{chain.name}: {source} -> {target} leads backwards or joins two types, allowed: "
+                "from a member to a later one"
+            )
+        rows.append((int(ends[0][2]), *ends[0][:2], *ends[1][:2]))
+    return rows
+
+
+def _check(block: Block | Chain, groups: Sequence[list[_Port]]) -> None:
+    inputs, outputs, parameters = groups
+    members = block.members if isinstance(block, Chain) else {block.name: block}
+    kinds = [b.kind for b in members.values()]
+    strange = set(kinds) - set(CHAIN_KINDS) if isinstance(block, Chain) else {"plant"} & set(kinds)
+    if strange or not 1 <= len(members) <= MOST_MEMBERS or max(len(inputs), len(outputs)) > MOST_SIGNALS:
         raise BuildError(
-            f"{block.name} is a {block.kind} with {len(inputs)} inputs and {len(outputs)} outputs; a DLL is "
-            f"for a controller, supervisor, channel, PMU or chain of at most {MOST_SIGNALS} each"
+            f"{block.name} is a {block.kind} of {', '.join(kinds)} with {len(inputs)} inputs and "
+            f"{len(outputs)} outputs, allowed for a DLL: a controller, supervisor, channel, PMU, or 1 to "
+            f"{MOST_MEMBERS} of them in a chain, with at most {MOST_SIGNALS} each"
         )
     if len(parameters) > MOST_PARAMETERS:
         raise BuildError(
             f"{block.name} has {len(parameters)} parameters; a DLL has at most {MOST_PARAMETERS}"
         )
-    for group in (inputs, outputs, parameters):
-        names = [port_name(v.name) for v in group]
+    for group in groups:
+        names = [port_name(p.shown) for p in group]
         if len(set(names)) != len(names) or not all(re.fullmatch(r"[A-Za-z_]\w*", n) for n in names):
             raise BuildError(
                 f"{block.name}: names {names} are no different C identifiers; rename the variables"
             )
+
+
+def _entries(block: Block | Chain, sample_time_s: float) -> dict[str, npt.ArrayLike | bytes]:
+    """The record: what Model_GetInfo tells, and the records of the members (c/dll/real_code.c)."""
+    groups = _ports(block)
+    _check(block, groups)
+    chain = block if isinstance(block, Chain) else Chain(block.name, {block.name: block})
+    tables = [b.table for b in chain.members.values()]
     ports = [
-        (int(v.type != "Real"), table.value_reference(v.name), int(v.role == "parameter" and not v.tunable))
-        for v in (*inputs, *outputs, *parameters)
-    ]
-    counts = np.array([len(inputs), len(outputs), len(parameters)], dtype=np.int32)
-    return {
-        "dll.counts": counts,
+        (p.variable.type != "Real", tables[p.member].value_reference(p.variable.name),
+         p.variable.role == "parameter" and not p.variable.tunable, p.member)
+        for group in groups for p in group
+    ]  # fmt: skip
+    entries: dict[str, npt.ArrayLike | bytes] = {
+        "dll.counts": np.array([*map(len, groups), len(tables)], dtype=np.int32),
         "dll.ports": np.array(ports, dtype=np.int32),
-        "dll.range": np.array([sample_time_s, *(x for v in parameters for x in _range(v))]),
-        "dll.text": b"".join(text.encode() + b"\0" for text in _texts(block, inputs, outputs, parameters)),
+        "dll.wires": np.array(_wires(chain), dtype=np.int32),
+        "dll.range": np.array([sample_time_s, *(x for p in groups[2] for x in _range(p.variable))]),
+        "dll.text": b"".join(text.encode() + b"\0" for text in _texts(block, groups)),
     }
+    for k, b in enumerate(chain.members.values()):
+        own: dict[str, npt.ArrayLike | bytes] = {}
+        if chain is block:
+            own["member.kind"] = np.array([CHAIN_KINDS.index(b.kind)], dtype=np.int32)
+            own["sampled"] = np.array([b.kind in ("channel", "pmu")], dtype=np.int32)
+        entries[f"member.{k}.record"] = pack_record(record_entries(b) | own)
+    return entries
 
 
 def _range(v: Variable) -> tuple[float, float, float]:
@@ -158,22 +253,17 @@ def _range(v: Variable) -> tuple[float, float, float]:
     return start, float(low_), float(high_)
 
 
-def _texts(
-    block: Block, inputs: list[Variable], outputs: list[Variable], parameters: list[Variable]
-) -> Iterator[str]:
+def _texts(block: Block | Chain, groups: Sequence[list[_Port]]) -> Iterator[str]:
     """Texts in the order in which c/dll/real_code.c reads them."""
+    general = {"generated by": f"interarea {product_version()}", **block.provenance}
     yield from (block.name, product_version(), block.description)
-    yield "; ".join(f"{key}: {value}" for key, value in _general(block).items())
+    yield "; ".join(f"{key}: {value}" for key, value in general.items())
     yield from ("", "interarea", "", "interarea", "", "")
-    for v in (*inputs, *outputs):
-        yield from (port_name(v.name), _meaning(v), v.unit)
-    for v in parameters:
-        group = v.name.split("[")[0].split(".")[0] if re.search(r"[\[.]", v.name) else "general"
-        yield from (port_name(v.name), group, _meaning(v), v.unit)
-
-
-def _general(block: Block) -> Mapping[str, str]:
-    return {"generated by": f"interarea {product_version()}", **block.provenance}
+    for p in (*groups[0], *groups[1]):
+        yield from (port_name(p.shown), _meaning(p.variable), p.variable.unit)
+    for p in groups[2]:
+        group = p.shown.split("[")[0].split(".")[0] if re.search(r"[\[.]", p.shown) else "general"
+        yield from (port_name(p.shown), group, _meaning(p.variable), p.variable.unit)
 
 
 def _meaning(v: Variable) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -26,6 +26,10 @@ Platforms = Annotated[
         metavar="LIST",
         help="platforms of the binaries, e.g. linux64,win64,darwin64,linux-arm64; default: this machine's",
     ),
+]
+
+SampleTime = Annotated[
+    float, typer.Option("--sample-time", metavar="S", help="interval at which a tool calls a DLL, s")
 ]
 
 
@@ -50,12 +54,10 @@ def build(
         typer.Option(
             "--dll",
             metavar="LIST",
-            help="the controller and a channel as IEEE/CIGRE DLLs too, for win64,win32,linux64",
+            help="controller, channel and PMU as IEEE/CIGRE DLLs too, for win64,win32,linux64",
         ),
     ] = None,
-    sample_time: Annotated[
-        float, typer.Option("--sample-time", metavar="S", help="interval at which a tool calls a DLL, s")
-    ] = 0.001,
+    sample_time: SampleTime = 0.001,
     json_: Annotated[bool, typer.Option("--json", help="print JSON instead of lines")] = False,
 ) -> None:
     """Build the plant FMU of a case, complete: documentation, sources and cross-check files."""
@@ -65,6 +67,7 @@ def build(
     from interarea.fmu_build.write.package import block_fmu
     from interarea.models.blocks.channel import channel_block
     from interarea.models.blocks.plant import plant_block
+    from interarea.models.blocks.pmu import pmu_block
     from interarea.models.case.case import load_case
     from interarea.models.files import together
 
@@ -84,9 +87,8 @@ def build(
             report(f"{name}.fmu")
             fmu = complete_fmu(block_fmu(block, cache, platforms=names_of(platforms)), cache)
             files[name] = str(place(fmu, out / f"{name}.fmu"))
-    dlls = _dlls(
-        [b for b in blocks.values() if b.kind != "plant"], out, names_of(dll) or [], sample_time, cache
-    )
+    parts = [b for b in blocks.values() if b.kind != "plant"]
+    dlls = _dlls([*parts, pmu_block()] if parts else [], out, names_of(dll) or [], sample_time, cache)
     if json_:
         typer.echo(
             json.dumps({"case": loaded.name, "fmus": files} | ({"dlls": dlls} if dll else {}), indent=2)
@@ -142,14 +144,34 @@ def names_of(platforms: str | None) -> list[str] | None:
 
 def container(
     scenario: ScenarioFile,
-    out: Annotated[Path, typer.Option("--out", metavar="FILE.fmu", help="FMU to write", show_default=False)],
+    out: Annotated[
+        Path, typer.Option("--out", metavar="FILE.fmu", help="FMU or DLL to write", show_default=False)
+    ],
     platforms: Platforms = None,
+    dll: Annotated[
+        str | None,
+        typer.Option(
+            "--dll",
+            metavar="PLATFORM",
+            help="what lies between plant and its inputs as one IEEE/CIGRE DLL: win64, win32, linux64",
+        ),
+    ] = None,
+    sample_time: SampleTime = 0.001,
     json_: FileAsJson = False,
 ) -> None:
     """Write plant, channels and controller of a scenario as one FMU that simulates by itself."""
-    from interarea.cosim.export.container import write_container
+    from interarea.cosim.export.container import chain_of, write_container
+    from interarea.fmu_build.write.real_code import DLL_PLATFORMS, build_dll
 
-    tell_file(_written(write_container, ".fmu", scenario, out, platforms), json_)
+    def write_chain(loaded: Any, path: Path, *, cache: Path, platforms: object) -> Path:
+        chain = chain_of(loaded, cache=cache)
+        return build_dll(chain, path, platform=str(dll), sample_time_s=sample_time, cache=cache)
+
+    if dll is None:
+        tell_file(_written(write_container, ".fmu", scenario, out, platforms), json_)
+    else:
+        suffix = DLL_PLATFORMS[dll].suffix if dll in DLL_PLATFORMS else out.suffix
+        tell_file(_written(write_chain, suffix, scenario, out, None), json_)
 
 
 def _written(

@@ -38,6 +38,19 @@ def container_sources(plant: Iterable[Path] | None = None) -> tuple[Path, ...]:
     )
 
 
+#: Kinds of the members of a chain, as chain.c counts them.
+CHAIN_KINDS = ("controller", "supervisor", "channel", "pmu")
+
+
+def chain_sources() -> tuple[Path, ...]:
+    """Return the C files of a chain: members whose instances go one after the other, without a plant."""
+    parts = ("chain", *(f"{kind}_member" for kind in CHAIN_KINDS))
+    return (
+        *(_HERE / f"container/{name}.c" for name in parts),
+        *(p for p in channel_block().sources if p.name != "channel.c"),
+    )
+
+
 @dataclass(frozen=True)
 class LoopMember:
     """One member: its name in the loop, its block with the start values it shall have, its packed record."""

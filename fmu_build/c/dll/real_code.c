@@ -1,9 +1,10 @@
-/* A block as an IEEE/CIGRE DLL (real_code.h), over the same functions that an FMU offers.
+/* A block, or a chain of them, as an IEEE/CIGRE DLL (real_code.h), over the same functions that an FMU offers.
  *
  * Called at time t with inputs u(t), Model_Outputs goes from the time of the last call to t, inputs along the
  * straight line between the two calls, and gives the outputs at t: no sample late. Called again at the same
- * time it does not go on. What changes during a run lies in the arrays of the tool, nothing anywhere else:
- *   double states   the piece that an FMU state carries; room to take a step back; scratch
+ * time it does not go on. The members of a chain go one after the other, each with the outputs that those before
+ * it have at t, as if a tool called their DLLs in that order. What changes during a run lies in the arrays of the tool, nothing anywhere else:
+ *   double states   of each member the piece that an FMU state carries; room to take a step back; scratch
  *   int states      a tag that says whose arrays they are; the text of the last message; integer variables
  * Tables below are written while the library is loaded and only read afterwards.                          */
 #include <math.h>
@@ -22,18 +23,26 @@
 #define EXPORTED __attribute__((visibility("default")))
 #endif
 
-enum { MOST_SIGNALS = 256, MOST_PARAMETERS = 1024, TEXT_INTS = 128, TEXT_SIZE = 4 * TEXT_INTS };
+enum { MOST_MEMBERS = 24, MOST_SIGNALS = 256, MOST_PARAMETERS = 1024, TEXT_INTS = 128, TEXT_SIZE = 4 * TEXT_INTS };
 enum { I_TAG, I_TEXT, I_INTEGERS = I_TEXT + TEXT_INTS };
 
-/* A port: which variable, Real or integer. */
-typedef struct { int32_t integer, reference, fixed; } Port;
+/* A port: which variable, Real or integer, of which member. A wire: from an output to an input of a later member. */
+typedef struct { int32_t integer, reference, fixed, member; } Port;
+typedef struct { int32_t integer, source, from, target, to; } Wire;
+
+typedef struct {
+    Instance instance;          /* as described by its record, without memory */
+    BlockNeeds needs;
+    size_t memory, work;        /* in the double states: where its part begins, size of the scratch, bytes */
+    size_t integers;            /* in the int states */
+} Member;
 
 static struct {
     int ready;
-    int32_t tag;
-    Instance instance;          /* as described by the record, without memory */
-    BlockNeeds needs;
-    size_t work;                /* bytes */
+    int32_t tag, n_members;
+    Member member[MOST_MEMBERS];
+    size_t n_wires;
+    const Wire *wires;
     RealCodeInfo info;
     RealCodeSignal inputs[MOST_SIGNALS], outputs[MOST_SIGNALS];
     RealCodeParameter parameters[MOST_PARAMETERS];
@@ -81,18 +90,23 @@ static void tell_parameters(const double *range, const char **text, const char *
 /* Everything that Model_GetInfo gives. Returns 0 where the record has no such description. */
 static int describe(const Record *record)
 {
-    size_t n_counts, n_ports, n_range, n_text;
+    size_t n_counts, n_ports, n_range, n_text, n_wires;
     const int32_t *counts = record_i32(record, "dll.counts", &n_counts);
     const int32_t *ports = record_i32(record, "dll.ports", &n_ports);
+    const int32_t *wires = record_i32(record, "dll.wires", &n_wires);
     const double *range = record_f64(record, "dll.range", &n_range);
     const char *text = record_text(record, "dll.text", &n_text), *end = text + n_text;
     RealCodeInfo *info = &model.info;
 
-    if (n_counts != 3 || n_range < 1 || text == NULL || counts[0] < 0 || counts[0] > MOST_SIGNALS || counts[1] < 0
+    if (n_counts != 4 || n_range < 1 || text == NULL || counts[0] < 0 || counts[0] > MOST_SIGNALS || counts[1] < 0
         || counts[1] > MOST_SIGNALS || counts[2] < 0 || counts[2] > MOST_PARAMETERS
-        || n_ports != 3 * (size_t)(counts[0] + counts[1] + counts[2]) || n_range != 1 + 3 * (size_t)counts[2])
+        || n_ports != 4 * (size_t)(counts[0] + counts[1] + counts[2]) || n_range != 1 + 3 * (size_t)counts[2]
+        || counts[3] < 1 || counts[3] > MOST_MEMBERS)
         return 0;
     model.ports = (const Port *)ports;
+    model.wires = (const Wire *)wires;
+    model.n_wires = n_wires / 5;
+    model.n_members = counts[3];
     *info = (RealCodeInfo){.version = {1, 1, 0, 0}, .sample_time = range[0], .mode = REAL_CODE_EMT_AND_RMS,
                            .n_inputs = counts[0], .inputs = model.inputs, .n_outputs = counts[1],
                            .outputs = model.outputs, .n_parameters = counts[2], .parameters = model.parameters};
@@ -106,29 +120,48 @@ static int describe(const Record *record)
     return 1;
 }
 
+/* Reads member k of the record and places it behind those before; returns 0 where it cannot be. */
+static int take_in(const Record *record, int32_t k)
+{
+    Member *m = &model.member[k];
+    char name[24], why[WHY_SIZE];
+    const char *reason;
+    size_t size;
+
+    snprintf(name, sizeof name, "member.%d.record", (int)k);
+    const char *bytes = record_text(record, name, &size);
+    if (bytes == NULL || record_open(&m->instance.record, bytes, size, &reason) != 0) return 0;
+    m->instance.type = fmi2CoSimulation;
+    if (instance_describe(&m->instance, &m->needs, why) != 0) return 0;
+    m->work = instance_sizes(&m->instance, &m->needs);
+    m->memory = (size_t)model.info.n_double * sizeof(double);
+    m->integers = (size_t)model.info.n_int;
+    model.info.n_double += (int32_t)((2 * m->instance.saved_size + m->work) / sizeof(double));
+    model.info.n_int += (int32_t)m->instance.n_integer;
+    return 1;
+}
+
 __attribute__((constructor)) static void load(void)
 {
     const unsigned char *bytes = real_code_data + REAL_CODE_MARK;
-    Instance *c = &model.instance;
-    char why[WHY_SIZE];
+    Record record;
     const char *reason;
     uint64_t size;
 
     memcpy(&size, bytes + 8, sizeof size);
-    if (size > real_code_capacity || record_open(&c->record, bytes, (size_t)size, &reason) != 0) return;
-    c->type = fmi2CoSimulation;
-    if (instance_describe(c, &model.needs, why) != 0 || !describe(&c->record)) return;
-    model.work = instance_sizes(c, &model.needs);
+    if (size > real_code_capacity || record_open(&record, bytes, (size_t)size, &reason) != 0) return;
+    if (!describe(&record)) return;
+    model.info.n_int = I_INTEGERS;
+    for (int32_t k = 0; k < model.n_members; ++k)
+        if (!take_in(&record, k)) return;
     memcpy(&model.tag, bytes + 16, sizeof model.tag);   /* of the check sum */
-    model.info.n_int = (int32_t)(I_INTEGERS + c->n_integer);
-    model.info.n_double = (int32_t)((2 * c->saved_size + model.work) / sizeof(double));
     model.ready = 1;
 }
 
 /* A call under way. */
 typedef struct {
     RealCodeInstance *tool;
-    Instance instance;
+    Instance instance[MOST_MEMBERS];
     char *text;                 /* of the tool's int states */
     int32_t worst;              /* what the call returns */
 } Call;
@@ -167,41 +200,49 @@ static void note(fmi2ComponentEnvironment environment, fmi2String name, fmi2Stat
     va_end(arguments);
 }
 
-/* The instance in the tool's arrays; `trial`: in the room for steps taken back. */
+/* The instances in the tool's arrays; `trial`: in the room for steps taken back. */
 static void enter(Call *call, RealCodeInstance *tool, int trial)
 {
-    Instance *c = &call->instance;
-    char *const memory = (char *)tool->double_states;
-
-    *call = (Call){.tool = tool, .instance = model.instance, .text = (char *)(tool->int_states + I_TEXT)};
+    call->tool = tool;
+    call->text = (char *)(tool->int_states + I_TEXT);
+    call->worst = REAL_CODE_OK;
     tool->error = tool->message = "";
-    c->callbacks.logger = note;
-    c->callbacks.componentEnvironment = call;
-    c->run = (RunState *)(memory + (trial ? c->saved_size : 0));
-    c->undo = (RunState *)(memory + (trial ? 0 : c->saved_size));
-    c->work = (double *)(memory + 2 * c->saved_size);
-    instance_place(c, &model.needs);
+    for (int32_t k = 0; k < model.n_members; ++k) {
+        const Member *m = &model.member[k];
+        Instance *c = &call->instance[k];
+        char *const memory = (char *)tool->double_states + m->memory;
+
+        *c = m->instance;
+        c->callbacks.logger = note;
+        c->callbacks.componentEnvironment = call;
+        c->run = (RunState *)(memory + (trial ? c->saved_size : 0));
+        c->undo = (RunState *)(memory + (trial ? 0 : c->saved_size));
+        c->work = (double *)(memory + 2 * c->saved_size);
+        instance_place(c, &m->needs);
+    }
 }
 
 /* Integers go back and forth: as halves of a double they might not survive a tool that copies doubles. */
-static void integers(const Call *call, int into_tool)
+static void integers(Call *call, int into_tool)
 {
-    const Instance *c = &call->instance;
-    int32_t *const kept = call->tool->int_states + I_INTEGERS;
-    const size_t size = c->n_integer * sizeof(int);
+    for (int32_t k = 0; k < model.n_members; ++k) {
+        const Instance *c = &call->instance[k];
+        int32_t *const kept = call->tool->int_states + model.member[k].integers;
+        const size_t size = c->n_integer * sizeof(int);
 
-    if (!into_tool) {
-        memcpy(c->integer, kept, size);
-        return;
+        if (into_tool) {
+            memcpy(kept, c->integer, size);
+            memset(c->integer, 0, size);
+        } else {
+            memcpy(c->integer, kept, size);
+        }
     }
-    memcpy(kept, c->integer, size);
-    memset(c->integer, 0, size);
 }
 
 /* Sets the variable of a port; an integer must be whole. */
 static void set(Call *call, const Port *port, const char *name, double value)
 {
-    Instance *c = &call->instance;
+    Instance *c = &call->instance[port->member];
     const fmi2ValueReference r = (fmi2ValueReference)port->reference;
 
     if (!port->integer) {
@@ -216,28 +257,60 @@ static void set(Call *call, const Port *port, const char *name, double value)
     }
 }
 
-static double value_of(const Instance *c, const Port *port)
+static double value_of(Call *call, int32_t member, int32_t integer, int32_t reference)
 {
-    return port->integer ? (double)c->integer[port->reference] : c->real[port->reference];
+    Instance *c = &call->instance[member];
+
+    if (c->run->mode != MODE_INSTANTIATED) (void)instance_refresh_outputs(c, 0, "");
+    return integer ? (double)c->integer[reference] : c->real[reference];
 }
 
-static void set_inputs(Call *call)
+static double value_at(Call *call, const Port *port)
 {
-    const double *u = call->tool->inputs;
-
-    for (int32_t k = 0; k < model.info.n_inputs && call->worst < REAL_CODE_ERROR; ++k)
-        set(call, &model.ports[k], model.inputs[k].name, u[k]);
+    return value_of(call, port->member, port->integer, port->reference);
 }
 
-/* Parameters that the tool has changed; once it runs, only those that may be. */
-static void set_parameters(Call *call)
+/* An input of member k as it is at the time of the call: the i-th of the tool's, or, behind those, of the wires.
+ * Returns 0 where that is none of its inputs. */
+static int input(Call *call, int32_t k, size_t i, Port *port, const char **name, double *value)
 {
-    const Instance *c = &call->instance;
+    const size_t n = (size_t)model.info.n_inputs;
+
+    if (i < n) {
+        *port = model.ports[i];
+        *name = model.inputs[i].name;
+        *value = ((const double *)call->tool->inputs)[i];
+        return port->member == k;
+    }
+    const Wire *wire = &model.wires[i - n];
+    if (wire->target != k) return 0;
+    *port = (Port){wire->integer, wire->to, 0, k};
+    *name = "a wire";
+    *value = value_of(call, wire->source, wire->integer, wire->from);
+    return 1;
+}
+
+static void set_inputs(Call *call, int32_t k)
+{
+    const size_t n = (size_t)model.info.n_inputs + model.n_wires;
+    const char *name;
+    double value;
+    Port port;
+
+    for (size_t i = 0; i < n && call->worst < REAL_CODE_ERROR; ++i)
+        if (input(call, k, i, &port, &name, &value)) set(call, &port, name, value);
+}
+
+/* Parameters of member k that the tool has changed; once it runs, only those that may be. */
+static void set_parameters(Call *call, int32_t m)
+{
     const Port *port = model.ports + model.info.n_inputs + model.info.n_outputs;
     const double *p = call->tool->parameters;
 
     for (int32_t k = 0; k < model.info.n_parameters && call->worst < REAL_CODE_ERROR; ++k) {
-        const double is = value_of(c, &port[k]);
+        if (port[k].member != m) continue;
+        const Instance *c = &call->instance[m];
+        const double is = port[k].integer ? (double)c->integer[port[k].reference] : c->real[port[k].reference];
         if (p[k] == is) continue;
         if (port[k].fixed && c->run->mode != MODE_INSTANTIATED)
             (void)say(call, REAL_CODE_MESSAGE, "%s was changed to %.9g during the run and stays at %.9g: it counts "
@@ -250,14 +323,16 @@ static void set_parameters(Call *call)
 /* From the parameters and inputs of the tool to the begin of a run; `trial`: inputs may not be there yet. */
 static void start(Call *call, int trial)
 {
-    Instance *c = &call->instance;
+    for (int32_t k = 0; k < model.n_members && call->worst < REAL_CODE_ERROR; ++k) {
+        Instance *c = &call->instance[k];
 
-    instance_reset_values(c);
-    (void)fmi2SetupExperiment(c, fmi2False, 0.0, call->tool->time, fmi2False, 0.0);
-    if (call->worst < REAL_CODE_ERROR) set_parameters(call);
-    if (call->worst < REAL_CODE_ERROR) (void)fmi2EnterInitializationMode(c);
-    if (!trial) set_inputs(call);
-    if (call->worst < REAL_CODE_ERROR) (void)fmi2ExitInitializationMode(c);
+        instance_reset_values(c);
+        (void)fmi2SetupExperiment(c, fmi2False, 0.0, call->tool->time, fmi2False, 0.0);
+        if (call->worst < REAL_CODE_ERROR) set_parameters(call, k);
+        if (call->worst < REAL_CODE_ERROR) (void)fmi2EnterInitializationMode(c);
+        if (!trial) set_inputs(call, k);
+        if (call->worst < REAL_CODE_ERROR) (void)fmi2ExitInitializationMode(c);
+    }
 }
 
 static int32_t refuse(RealCodeInstance *tool, const char *why)
@@ -300,12 +375,11 @@ EXPORTED int32_t Model_Initialize(RealCodeInstance *tool)
 
     if (!model.ready) return refuse(tool, "this library was not completed by an export");
     enter(&call, tool, 0);
-    memset(call.instance.undo, 0, call.instance.saved_size);
-    memset(call.instance.work, 0, model.work);
+    memset(tool->double_states, 0, (size_t)model.info.n_double * sizeof(double));
     start(&call, 0);
-    for (int32_t k = 0; k < model.info.n_outputs; ++k) {
+    for (int32_t k = 0; k < model.info.n_outputs && call.worst < REAL_CODE_ERROR; ++k) {
         const Port *port = &model.ports[model.info.n_inputs + k];
-        const double own = value_of(&call.instance, port);
+        const double own = value_at(&call, port);
         if (!port->integer && !(fabs(y[k] - own) <= 1e-6 * fmax(1.0, fabs(own))))
             (void)say(&call, REAL_CODE_MESSAGE, "output %s starts at %.9g, not at the %.9g that the tool has given it",
                       model.outputs[k].name, own, y[k]);
@@ -316,31 +390,31 @@ EXPORTED int32_t Model_Initialize(RealCodeInstance *tool)
 }
 
 /* Inputs at the time of this call are the end of the straight line that began at the last one. */
-static void advance(Call *call, double length)
+static void advance(Call *call, int32_t k, double length)
 {
-    Instance *c = &call->instance;
-    const double *u = call->tool->inputs;
+    const size_t n = (size_t)model.info.n_inputs + model.n_wires;
+    Instance *c = &call->instance[k];
+    const char *name;
+    double value;
+    Port port;
 
-    for (int32_t k = 0; k < model.info.n_inputs && !block_is_sampled && call->worst < REAL_CODE_ERROR; ++k) {
-        const fmi2ValueReference r = (fmi2ValueReference)model.ports[k].reference;
-        const double slope = model.ports[k].integer ? 0.0 : (u[k] - c->real[r]) / length;
+    for (size_t i = 0; i < n && !c->sampled && call->worst < REAL_CODE_ERROR; ++i) {
+        if (!input(call, k, i, &port, &name, &value) || port.integer) continue;
+        const fmi2ValueReference r = (fmi2ValueReference)port.reference;
+        const double slope = (value - c->real[r]) / length;
         const int order = 1;
-        if (!model.ports[k].integer) (void)fmi2SetRealInputDerivatives(c, &r, 1, &order, &slope);
+        (void)fmi2SetRealInputDerivatives(c, &r, 1, &order, &slope);
     }
     if (call->worst < REAL_CODE_ERROR) (void)fmi2DoStep(c, c->run->time, length, fmi2True);
 }
 
 static void give_outputs(Call *call)
 {
-    Instance *c = &call->instance;
     double *y = call->tool->outputs;
 
     for (int32_t k = 0; k < model.info.n_outputs && call->worst < REAL_CODE_ERROR; ++k) {
-        const Port *port = &model.ports[model.info.n_inputs + k];
-        const fmi2ValueReference r = (fmi2ValueReference)port->reference;
-        double value = 0.0;
-        if (!port->integer && fmi2GetReal(c, &r, 1, &value) == fmi2OK) y[k] = value;
-        if (port->integer) y[k] = (double)c->integer[r];
+        const double value = value_at(call, &model.ports[model.info.n_inputs + k]);
+        if (call->worst < REAL_CODE_ERROR) y[k] = value;
     }
 }
 
@@ -354,17 +428,18 @@ EXPORTED int32_t Model_Outputs(RealCodeInstance *tool)
         return refuse(tool, "Model_Initialize was not called, or the states are those of another model");
     enter(&call, tool, 0);
     integers(&call, 0);
-    const double length = tool->time - call.instance.run->time, slack = 1e-6 * model.info.sample_time;
+    const double before = call.instance[0].run->time, length = tool->time - before, slack = 1e-6 * model.info.sample_time;
     for (int32_t k = 0; k < model.info.n_inputs; ++k)
         if (!isfinite(u[k]))
             (void)say(&call, REAL_CODE_ERROR, "input %s is %g at time %.9g s; a finite value is needed",
                       model.inputs[k].name, u[k], tool->time);
     if (!(length >= -slack))
-        (void)say(&call, REAL_CODE_ERROR, "time is %.9g s, before the %.9g s of the last call", tool->time,
-                  call.instance.run->time);
-    if (call.worst < REAL_CODE_ERROR) set_parameters(&call);
-    if (call.worst < REAL_CODE_ERROR && length > slack) advance(&call, length);
-    set_inputs(&call);
+        (void)say(&call, REAL_CODE_ERROR, "time is %.9g s, before the %.9g s of the last call", tool->time, before);
+    for (int32_t k = 0; k < model.n_members && call.worst < REAL_CODE_ERROR; ++k) {
+        set_parameters(&call, k);
+        if (call.worst < REAL_CODE_ERROR && length > slack) advance(&call, k, length);
+        set_inputs(&call, k);
+    }
     give_outputs(&call);
     integers(&call, 1);
     return call.worst;

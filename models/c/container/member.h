@@ -17,7 +17,7 @@ typedef struct {
     BlockStatus (*step)(Block *, double, double, const double *, double *, BlockMessage *);
 } MemberKind;
 
-extern const MemberKind plant_member, controller_member, channel_member, supervisor_member;
+extern const MemberKind plant_member, controller_member, channel_member, supervisor_member, pmu_member;
 
 /* Of a channel: instants at which its output may jump, packets aside; its least
  * latency; whether it sends packets, so that its output is held between them;

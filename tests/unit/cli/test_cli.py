@@ -231,7 +231,13 @@ def test_build_writes_the_controller_as_a_dll(interarea, tmp_path: Path) -> None
         *("--out", tmp_path),
     )
     assert code == 0, err
-    assert {line.split("/")[-1] for line in out.splitlines()} >= {"robust.so", "channel.so", "robust.fmu"}
+    assert {line.split("/")[-1] for line in out.splitlines()} >= {
+        *("robust.so", "channel.so", "pmu.so", "robust.fmu")
+    }
     assert RealCodeLibrary(tmp_path / "linux64" / "robust.so").info.sample_time_s == 0.002
+    code, out, err = interarea("container", "lost-signal", "--dll", "linux64", "--out", tmp_path / "chain.so")
+    assert code == 0 and (tmp_path / "chain.so").is_file(), err
+    code, _, err = interarea("container", "lost-signal", "--dll", "vax", "--out", tmp_path / "chain.so")
+    assert code == 2 and "unknown platform of a DLL 'vax'; allowed: linux64, win64, win32" in err
     code, _, err = interarea("build", "two-area-thesis", "--dll", "linux64", "--out", tmp_path)
     assert code == 2 and "--dll: no controller was named" in err

@@ -23,15 +23,17 @@ from lxml import etree
 
 from interarea.cli.app import main
 from interarea.cosim.errors import ScenarioError
-from interarea.cosim.export.container import container_block, write_container
+from interarea.cosim.export.container import chain_of, container_block, write_container
 from interarea.cosim.export.instances import members_of
 from interarea.cosim.export.joint import run_joint
 from interarea.cosim.run.run import run_scenario
 from interarea.cosim.scenario.scenario import load_scenario
 from interarea.design.controllers.bank import ControllerBank
 from interarea.design.controllers.controller import Controller
+from interarea.fmu_build.open.real_code import RealCodeLibrary
 from interarea.fmu_build.write.compile import host_platform
 from interarea.fmu_build.write.description_xml import record_entries
+from interarea.fmu_build.write.real_code import build_dll, port_name
 from interarea.models.blocks.binary_table import pack_record
 from interarea.models.blocks.container import LoopMember, loop_block
 
@@ -294,3 +296,21 @@ def test_joint_scenario_is_not_run_by_a_master(hand_controller: Controller) -> N
         run_scenario({**scenario(), "master": {"joint": True}}, controller=hand_controller)
     with pytest.raises(ScenarioError, match="case is missing"):
         run_joint({"stop_s": 1.0, "fmus": {"a": {"file": "a.fmu"}}})
+
+
+def test_a_chain_is_the_loop_without_its_plant(cache: Path, by_hand: Controller, tmp_path: Path) -> None:
+    """PMU, channel and controller as one DLL: its inputs are what the plant gives, latency the scenario's."""
+    table = scenario(latency_s=0.07, pmu={"bus": 7}, reporting_interval_s=0.02)
+    table["controller"] = "robust"
+    chain = chain_of(load_scenario(table), cache=cache)
+    kinds = [b.kind for b in chain.members.values()]
+    assert kinds == ["pmu", "channel", "controller"]
+    pmu, remote, controller = chain.members
+    wired = [(f"{pmu}.deviation", f"{remote}.u"), (f"{remote}.y", f"{controller}.G2_dw")]
+    assert list(chain.connections) == wired
+    info = RealCodeLibrary(build_dll(chain, tmp_path, platform="linux64", cache=cache)).info
+    shown = port_name(pmu)
+    assert {p.name for p in info.inputs} == {f"{shown}_re", f"{shown}_im", "G4_dw"}
+    assert {p.name: p.start for p in info.parameters}[f"{remote}_latency"] == 0.07
+    with pytest.raises(ScenarioError, match="channels and a controller, here are none"):
+        chain_of(load_scenario({**table, "controller": "none", "channels": {}}), cache=cache)

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import interarea
-from interarea.cosim.errors import GraphError, StepError
+from interarea.cosim.errors import GraphError, ScenarioError, StepError
+from interarea.cosim.export.instances import members_of
 from interarea.cosim.run.controllers import controller_of
+from interarea.cosim.run.run import system_of
 from interarea.cosim.run.system import System
+from interarea.cosim.scenario.scenario import load_scenario
 from interarea.fmu_build.errors import FmuFileError
 from interarea.fmu_build.write.real_code import build_dll
 from interarea.models.case.case import load_case
@@ -86,6 +90,28 @@ def test_a_scenario_names_a_dll_among_its_fmus(robust: Path, tmp_path: Path) -> 
     assert float(np.abs(run.data["mine.G4_vs"]).max()) > 1e-3
     file.write_text(SCENARIO.replace("limit = 0.15", "limit = 1e-4"))
     assert float(np.abs(interarea.simulate(file).data["mine.G4_vs"]).max()) == 1e-4
+
+
+@pytest.mark.slow  # two runs of a plant
+def test_a_scenario_names_a_dll_as_its_controller(robust: Path, cache: Path) -> None:
+    """Signals find its inputs by their names, as those of an FMU; as with connections in words."""
+    table = tomllib.loads(SCENARIO) | {"stop_s": 1.5}
+    table["fmus"]["mine"] = {"file": str(robust)}
+    short = {k: v for k, v in table.items() if k not in ("connections", "fmus")}
+    short["controller"] = str(robust)
+    short["channels"] = {"remote": {"signal": "G2_dw", "latency_s": 0.1}}
+    run, both = interarea.simulate(short), interarea.simulate(table)
+    found, wanted = run.data["controller.G4_vs"].to_numpy(), both.data["mine.G4_vs"].to_numpy()
+    assert np.abs(found).max() > 1e-3
+    assert np.abs(found - wanted).max() < 1e-12, np.abs(found - wanted).max()
+    loaded = load_scenario(short)
+    assert system_of(loaded, cache=cache).linear_swings() == "controller may do anything"
+    with pytest.raises(ScenarioError, match="controller run as DLLs, which an archive"):
+        members_of(loaded, cache=cache)
+    with pytest.raises(ScenarioError, match="controller_gain and controller_limit_pu do nothing"):
+        load_scenario(short | {"controller_gain": 2.0})
+    with pytest.raises(ScenarioError, match="is a DLL, its equations"):
+        controller_of(robust, loaded.load_case(), cache)
 
 
 def test_what_is_wrong_with_a_dll_is_one_error(robust: Path, tmp_path: Path, cache: Path) -> None:

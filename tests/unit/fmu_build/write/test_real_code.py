@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +16,9 @@ from interarea.cosim.run.controllers import controller_of
 from interarea.fmu_build.errors import BuildError
 from interarea.fmu_build.open.real_code import ERROR, MESSAGE, OK, RealCode, RealCodeLibrary
 from interarea.fmu_build.write.package import build_fmu
-from interarea.fmu_build.write.real_code import build_dll, port_name
+from interarea.fmu_build.write.real_code import Chain, build_dll, port_name
 from interarea.models.blocks.channel import channel_block
+from interarea.models.blocks.pmu import pmu_block
 from interarea.models.blocks.variables import Block
 from interarea.models.case.case import load_case
 
@@ -32,13 +35,30 @@ def robust(cache: Path) -> Block:
 
 
 @pytest.fixture(scope="module")
-def blocks(robust: Block) -> dict[str, Block]:
+def blocks(robust: Block, cache: Path) -> dict[str, Block | Chain]:
     """Return the blocks by kind."""
-    return {"controller": robust, "channel": channel_block(capacity=256), "decay": decay_block()}
+    case = load_case("two-area-thesis")
+    bank = controller_of("active", case, cache)
+    assert bank is not None
+    channel, pmu, supervisor = channel_block(capacity=256), pmu_block(capacity=64), bank.block(case.omega_b)
+    wide = {"pmu": pmu, "remote": channel, "controller": robust}
+    connections = [("pmu.deviation", "remote.u"), ("remote.y", "controller.G2_dw")]
+    two = {"pmu": pmu, "near": channel, "far": channel, "bank": supervisor}
+    first, second = (v.name for v in supervisor.table.of_role("input"))
+    flags = [("pmu.deviation", "near.u"), ("near.y", f"bank.{first}"), ("near.valid", f"bank.{first}_valid")]
+    return {
+        "controller": robust,
+        "supervisor": supervisor,
+        "channel": channel,
+        "pmu": pmu,
+        "decay": decay_block(),
+        "chain": Chain("wide", wide, connections),
+        "chain with flags": Chain("two", two, [*flags, ("far.y", f"bank.{second}")]),
+    }
 
 
 @pytest.fixture(scope="module")
-def library(blocks: dict[str, Block], cache: Path, tmp_path_factory: pytest.TempPathFactory):  # type: ignore[no-untyped-def]
+def library(blocks: dict[str, Block | Chain], cache: Path, tmp_path_factory: pytest.TempPathFactory):  # type: ignore[no-untyped-def]
     """Return the loader of a block's DLL by kind."""
     folder = tmp_path_factory.mktemp("dll")
 
@@ -52,8 +72,12 @@ def library(blocks: dict[str, Block], cache: Path, tmp_path_factory: pytest.Temp
 
 
 def signal(name: str, t: float) -> float:
-    """An input at a time: a swing and a jump, different for each name."""
+    """An input at a time: a swing and a jump, different for each name; of a flag whether it is up."""
     k = len(name) + ord(name[1 % len(name)])
+    if name.endswith("_valid"):
+        return float(not 0.4 < t < 0.7)
+    if name.endswith("re"):
+        return 1.0 + 0.05 * float(np.cos(3.0 * t))
     return 2e-4 * float(np.sin(0.7 * k + 6.0 * t)) + (1e-4 if t > 0.5 else 0.0)
 
 
@@ -88,40 +112,85 @@ PARAMETERS = {
         "outage[1].end": 0.8,
     },
     "decay": {"rate": 3.0, "kick.time": 0.333, "kicking": 1},
+    "supervisor": {"limit": 0.03, "loss_time": 0.02},
+    "pmu": {"nominal_frequency": 60.0, "half_window": 10},
+    "chain": {
+        "remote.latency": 0.05,
+        "remote.reporting_interval": 0.02,
+        "remote.jitter": 0.03,
+        "remote.loss_good": 0.2,
+        "pmu.half_window": 12,
+        "controller.limit": 0.02,
+    },
+    "chain with flags": {"near.outage[1].start": 0.5, "near.outage[1].end": 0.9, "far.latency": 0.033},
 }
+
+
+class Fmus:
+    """The FMUs of a block's or chain's members, stepped one after the other."""
+
+    def __init__(self, block: Block | Chain, values: dict[str, float], cache: Path, folder: Path) -> None:
+        one = isinstance(block, Block)
+        self.members = {"": block} if isinstance(block, Block) else dict(block.members)
+        self.feeds = {} if isinstance(block, Block) else {to: source for source, to in block.connections}
+        self.stack, self.runners, self.time = ExitStack(), {}, 0.0
+        for name, member in self.members.items():
+            file = build_fmu(member, folder / f"{name or 'x'}.fmu", cache=cache)
+            run = self.runners[name] = self.stack.enter_context(Runner(file))
+            own = {
+                k if one else k.partition(".")[2]: v
+                for k, v in values.items()
+                if one or k.startswith(f"{name}.")
+            }
+            run.start(own | self.inputs(name, 0.0))
+
+    def inputs(self, name: str, t: float) -> dict[str, float]:
+        """Inputs of a member at a time: of the member that feeds it, or from outside."""
+        table, values = self.members[name].table, {}
+        for v in (*table.of_role("input"), *table.of_role("input", integers=True)):
+            source, _, port = self.feeds.get(f"{name}.{v.name}", "").partition(".")
+            kept = self.members[name].kind not in ("pmu", "channel") or not name
+            shown = v.name if kept else f"{name}_{v.name}"
+            value = self.runners[source].get(port) if source else signal(shown, t)
+            values[v.name] = value if v.type == "Real" else int(value)
+        return values
+
+    def step(self, t: float) -> None:
+        """Step all to a time; inputs of what is not sampled along straight lines."""
+        length = t - self.time
+        for name, run in self.runners.items():
+            new, table = self.inputs(name, t), self.members[name].table
+            for v in table.of_role("input") if self.members[name].kind not in ("channel", "pmu") else ():
+                run.slopes(v.name, (new[v.name] - run.get(v.name)) / length)
+            run.step(self.time, length)
+            run.set_of(new)
+        self.time += length
+
+    def outputs(self) -> Iterator[float]:
+        """All outputs, member by member, in the order of a DLL."""
+        for name, run in self.runners.items():
+            table = self.members[name].table
+            for v in (*table.of_role("output"), *table.of_role("output", integers=True)):
+                yield float(run.get(v.name))
 
 
 @pytest.mark.parametrize("kind", list(PARAMETERS))
 def test_the_fmu_and_the_dll_give_the_same_bits(
     kind: str,
-    blocks: dict[str, Block],
+    blocks: dict[str, Block | Chain],
     library,
     cache: Path,
     tmp_path: Path,  # type: ignore[no-untyped-def]
 ) -> None:
+    """A chain against the FMUs of its members: outputs of each are the inputs of the next at that time."""
     values = PARAMETERS[kind]
     model = start(RealCode(library(kind), {port_name(name): value for name, value in values.items()}))
-    info = model.library.info
-    fmu = build_fmu(blocks[kind], tmp_path / "x.fmu", cache=cache)
-    table = blocks[kind].table
-    original = {port_name(v.name): v.name for v in table}
-    inputs = [original[p.name] for p in info.inputs]
-    outputs = [original[p.name] for p in info.outputs]
-    rows = []
-    with Runner(fmu) as it:
-        it.start(dict(values) | {name: signal(name, 0.0) for name in inputs})
-        time = 0.0
+    fmus, rows = Fmus(blocks[kind], values, cache, tmp_path), []
+    with fmus.stack:
         for k in range(1, 201):
-            t = k * STEP
-            old = {name: it.get(name) for name in inputs}
-            if kind != "channel":
-                for name in inputs:
-                    it.slopes(name, (signal(name, t) - old[name]) / (t - time))
-            it.step(time, t - time)
-            time += t - time
-            it.set_of({name: signal(name, t) for name in inputs})
-            rows.append([float(it.get(name)) for name in outputs])
-            assert step(model, t) == rows[-1], f"first difference at {t:g} s"
+            fmus.step(k * STEP)
+            rows.append(list(fmus.outputs()))
+            assert step(model, k * STEP) == rows[-1], f"first difference at {k * STEP:g} s"
     assert len({tuple(row) for row in rows}) > 50  # something happens
 
 
@@ -219,5 +288,15 @@ def test_blocks_that_no_dll_can_be_made_of(robust: Block, tmp_path: Path) -> Non
         build_dll(robust, tmp_path, platform="vax")
     with pytest.raises(BuildError, match="sample time of a DLL: 0 s, allowed: above 0"):
         build_dll(robust, tmp_path, platform="linux64", sample_time_s=0.0)
-    with pytest.raises(BuildError, match="is a plant with"):
+    with pytest.raises(BuildError, match="is a plant of plant with"):
         build_dll(decay_block(kind="plant"), tmp_path, platform="linux64")
+    members = {"remote": channel_block(capacity=16), "controller": robust}
+    for connection, words in (
+        (("controller.G4_vs", "remote.u"), "leads backwards or joins two types"),
+        (("remote.valid", "controller.G2_dw"), "leads backwards or joins two types"),
+        (("remote.z", "controller.G2_dw"), "remote.z is no output of a member"),
+    ):
+        with pytest.raises(BuildError, match=words):
+            build_dll(Chain("wrong", members, [connection]), tmp_path, platform="linux64")
+    with pytest.raises(BuildError, match="is a chain of decay with"):
+        build_dll(Chain("wrong", {"decay": decay_block()}), tmp_path, platform="linux64")
