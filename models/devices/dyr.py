@@ -92,19 +92,20 @@ def device_for_dyr(record: DyrRecord, own: Iterable[Model] = ()) -> DyrDevice:
 
 
 def _values(record: DyrRecord, row: DyrModel) -> dict[str, float]:
-    """The named fields of a record; the ones of functions that are not modelled must be 0."""
+    """The named fields of a record; those of functions that are not modelled must be 0, or its own bus."""
     values: dict[str, float] = {}
     for k, (name, text) in enumerate(zip(row.fields, record.fields, strict=True), start=1):
         if name == "-":
             continue
         value, what = _number(text), f"{record.where}: {record.model} field {k}"
         if value is None:
-            raise DeviceError(f"{what} ({name}) = {str(text)[:40]!r}, allowed: a number")
-        if name != "0":
+            raise DeviceError(f"{what} ({name.removeprefix('0:')}) = {str(text)[:40]!r}, allowed: a number")
+        if not name.startswith("0"):
             values[name] = value
-        elif value != 0.0:
+        elif value != 0.0 and not (name.startswith("0:BUS") and value == record.bus):
+            named = f" ({name[2:]})" if name[1:] else ""
             raise DeviceError(
-                f"{what} = {value:g}, allowed: 0 (what it asks for is not modelled; "
+                f"{what}{named} = {value:g}, allowed: 0 (what it asks for is not modelled; "
                 f"--replace {record.model}=MODEL reads it as another)"
             )
     return values
@@ -120,7 +121,7 @@ def dyr_fields(model: Model, values: Mapping[str, float]) -> tuple[str, tuple[fl
     for row in _rows(model):
         fits = (evaluate(node, values) == values[name] for name, node in row.assigned)
         if all(fits):
-            return row.model, tuple(0.0 if n in ("-", "0") else float(values[n]) for n in row.fields)
+            return row.model, tuple(0.0 if n[0] in "-0" else float(values[n]) for n in row.fields)
     known = ", ".join(row.model for row in _rows(model)) or "none"
     raise DeviceError(f"{model.device.name}: no record holds these values; its records: {known}")
 

@@ -163,7 +163,9 @@ class _Walk:
                 pass
         root = _root(lambda z: _residual(e, known | {name: z}))
         if root is None:
-            raise DeviceError(f"{self.who}: no {name} found at rest from {e.left} = {e.right}")
+            holds = _holding(e, name, known)
+            what = holds or f"no {name} found at rest from {e.left} = {e.right}"
+            raise DeviceError(f"{self.who}: {what}")
         return root
 
     def tear(self) -> None:
@@ -195,6 +197,28 @@ class _Walk:
                 del self.equations[closing[0]]
                 return
         raise DeviceError(f"{self.who}: no rest found for {', '.join(sorted(self.unknown))}")
+
+
+def _holding(e: Equation, name: str, known: Mapping[str, float]) -> str:
+    """Which limit or gate keeps the known left side from its value, in words; empty when none does."""
+    if e.left.op != "name" or e.left.name not in known:
+        return ""
+    wanted, node = known[e.left.name], e.right
+    while node.op in ("min", "max", "clamp") and name in node.names:
+        at = next(k for k, part in enumerate(node.args) if name in part.names)
+        upper = {"min": range(len(node.args)), "max": (), "clamp": (2,)}[node.op]
+        for k, part in enumerate(node.args):
+            if name in part.names:
+                continue
+            value = float(evaluate(part, known))
+            if (value < wanted) if k in upper else (value > wanted):
+                word = "below" if k in upper else "above"
+                return (
+                    f"{e.left} is {wanted:.6g} at rest, but {part} = {value:.6g} holds it {word}; change the "
+                    "parameters in it or the dispatch"
+                )
+        node = node.args[at]
+    return ""
 
 
 def _residual(e: Equation, known: Mapping[str, float]) -> float:

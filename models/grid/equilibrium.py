@@ -149,7 +149,8 @@ def _network(
     """Bus voltages, machine currents (system base) and the loads' volts, from the EMFs.
 
     Loads and devices at buses are admittances that draw their power at those volts. Those with a port must
-    draw it at the voltages found, or the port would not be at rest: their volts are found by repetition.
+    draw it at the voltages found, or the port would not be at rest: their volts are found by repetition, from
+    those of the power flow, for as long as it leads nearer.
     """
     index, loads = bus_index(case), len(case.loads)
     at = np.array([index[q.bus] for q in case.loads] + [index[s.bus] for s in case.at_buses], dtype=np.int64)
@@ -157,12 +158,16 @@ def _network(
     ports = [*port_loads(case), *range(loads, len(at))]
     drawn = [load_power(case, load) if load.in_service else 0j for load in case.loads]
     solve = _linear_network(case, emf, at, np.array([*drawn, *(-power_flow.at_buses)], dtype=complex))
-    for _ in range(_REPETITIONS if ports else 1):
-        voltages, current = solve(volts)
-        moved = float(np.max(np.abs(np.abs(voltages[at[ports]]) - volts[ports]), initial=0.0))
-        volts[ports] = np.abs(voltages[at[ports]])
-        if moved < 1e-15:
+    voltages, current = solve(volts)
+    moved = np.inf
+    for _ in range(_REPETITIONS if ports else 0):
+        nearer = volts.copy()
+        nearer[ports] = np.abs(voltages[at[ports]])
+        last, moved = moved, float(np.max(np.abs(nearer - volts)))
+        if not 1e-15 <= moved < last:
             break
+        volts = nearer
+        voltages, current = solve(volts)
     return voltages, current, volts[:loads]
 
 

@@ -35,7 +35,21 @@ CONVERTERS = frozenset(
 
 CONVERTER = "converter"  #: kind of the devices of these
 SVC = "svc"  #: kind of the devices of units that are SVCs
+#: of a converter: one record of each
+_PARTS = ((("REGCA1",), "is the converter itself"), (("REECB1", "REECA1"), "sets its currents"))
 _CURRENTS = "; --converters current takes converters as constant currents"
+
+#: why these are not modelled
+_LOAD = "a load of many motors and electronics, which LOAD of the RAW stands for"
+_WIND = "the drive train of a wind plant, which acts through PFLAG and Pref of its electrical control"
+_LIMITER = "an excitation limiter, which acts only beyond the machine's rating"
+_WHY = {
+    "PSSSIM": "a stabilizer of GridPACK, fed by the frequencies of other buses, which no vendor describes",
+    "DERA1": "many small converters that trip by voltage, frequency and time",
+    **dict.fromkeys(("CMLDBLU1", "CMLDBLU2", "ACMTBLU1", "CIM5BL", "CIM6BL", "CLODBL"), _LOAD),
+    **dict.fromkeys(("WTDTA1", "WTARA1", "WTPTA1", "WTTQA1"), _WIND),
+    **dict.fromkeys(("MAXEX1", "MAXEX2", "MNLEX1", "MNLEX2", "UEL1", "UEL2", "OEL1B"), _LIMITER),
+}
 
 #: models that only trip or measure
 RELAYS = frozenset(
@@ -240,9 +254,11 @@ class _Units:
             if CONVERTER not in row:
                 continue
             place = next(at for (unit, _), at in self.seen.items() if unit == name)
-            for model, does in (("REGCA1", "is the converter itself"), ("REECB1", "sets its currents")):
-                if (name, model) not in self.seen:
-                    raise CaseError(f"{place}: {name} has no {model}, which {does}{_CURRENTS}")
+            for models, does in _PARTS:
+                seen = [model for model in models if (name, model) in self.seen]
+                if len(seen) != 1:
+                    has = f"no {' or '.join(models)}, which {does}" if not seen else f"{' and '.join(seen)}"
+                    raise CaseError(f"{place}: {name} has {has}, allowed: one{_CURRENTS}")
             others = row.keys() - {CONVERTER}
             if others:
                 what = f"{sorted(others)[0]!r} beside a converter"
@@ -332,17 +348,28 @@ def _device(
             f"{' '.join(measured)}, allowed: 0 0 0, its own bus; "
             "--leave-out REPCA1 goes on without plant controls"
         )
+    if record.model == "WSIEG1" and "WSIEG1" not in own_records(own.values()):
+        record = _without_curve(record)
     result = device_for_dyr(record, own.values())
     device = result.model.device
     return device.kind, {"kind": device.key} | dict(result.parameters)
 
 
+def _without_curve(record: DyrRecord) -> DyrRecord:
+    """A WSIEG1 whose deadbands and curve are all 0 as the IEEEG1 with whose fields it begins."""
+    count, of_both = (len(dyr_models()[model][1].fields) for model in ("IEEEG1", "WSIEG1"))
+    plain = len(record.fields) == of_both and not any(field.strip("0.") for field in record.fields[count:-1])
+    return dataclasses.replace(record, model="IEEEG1", fields=record.fields[:count]) if plain else record
+
+
 def _unknown(record: DyrRecord, records: Collection[str]) -> str:
     model, advice = record.model, ""
-    if record.user:
+    if record.user and model not in _WHY:
         advice = f"; draw it as a device named {model} and give its file with --device"
     elif model in CONVERTERS:
         advice = _CURRENTS
+    elif model in _WHY:
+        advice = f": {_WHY[model]}; --leave-out {model} goes on without it"
     else:
         near = "" if model in KNOWN else nearest(model, [*MACHINES, *records])
         advice = f"; {near}" if near else ""

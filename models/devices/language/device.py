@@ -160,7 +160,8 @@ class Check:
 class DyrModel:
     """A record of a DYR file: its fields in order, and what is fixed or follows.
 
-    A field is a parameter's or another name, "-" (ignored) or "0" (must be 0).
+    A field is a parameter's or another name, "-" (ignored), "0" or "0:NAME" (must be 0;
+    "0:BUS" may be its own bus).
     """
 
     model: str

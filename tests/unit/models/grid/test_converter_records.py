@@ -71,7 +71,11 @@ def test_a_plant_follows_the_record(name):
 @pytest.mark.parametrize(
     ("old", "new", "says"),
     [
-        ("'REECB1' 1", "'REECB1' 2", "G103 has no REECB1, which sets its currents; --converters current"),
+        (
+            "'REECB1' 1",
+            "'REECB1' 2",
+            "G103 has no REECB1 or REECA1, which sets its currents, allowed: one; --converters current",
+        ),
         ("'REGCA1' 1", "'REGCA1' 2", "G103 has no REGCA1, which is the converter itself"),
         (
             "103 'REPCA1' 1\n             0           0           0",

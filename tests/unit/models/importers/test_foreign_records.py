@@ -48,10 +48,12 @@ def test_a_model_that_the_file_does_not_have_is_refused(tmp_path: Path, option: 
 
 
 def test_a_record_read_as_another_model_is_that_model(tmp_path: Path) -> None:
-    """WSIEG1 begins with the fields of IEEEG1; a curve of its valve is what the other does not have."""
-    curve = "0 0 0 0 0 0.3 0.5 0.6 0.8 1 1 0 0 0"
+    """WSIEG1 begins with the fields of IEEEG1; a deadband is what the other does not have."""
+    curve = "0.01 0 0 0 0 0 0 0 0 0 0 0 0 0"
     western = f"1 'WSIEG1' 1 {TURBINE} {curve} /\n"
-    with pytest.raises(UserError, match=r"WSIEG1 field 28 = 0.3, allowed: 0 .*--replace WSIEG1=MODEL"):
+    with pytest.raises(
+        UserError, match=r"WSIEG1 field 23 \(DB1\) = 0.01, allowed: 0 .*--replace WSIEG1=MODEL"
+    ):
         taken(tmp_path, western)
     read = taken(tmp_path, western, replace_models={"WSIEG1": "IEEEG1"})
     plain = taken(tmp_path, f"1 'IEEEG1' 1 {TURBINE} /\n")

@@ -1,0 +1,146 @@
+"""Governors and exciters against numbers printed by others [Lara2023], and against an exact delay."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from interarea.cosim.designs.sensitivities import state_matrix
+from interarea.fmu_build.write.cache import default_cache
+from interarea.models.case.case import Case
+from interarea.models.devices.language.device import MBASE
+from interarea.models.devices.library import library
+from interarea.models.devices.rest import rest_of
+from interarea.models.errors import CaseError, DeviceError
+from interarea.models.exporters.dyr import dyr_of
+from interarea.models.grid.control_tables import StartError
+from interarea.models.grid.equilibrium import operating_point
+from interarea.models.importers.psse import import_psse
+
+RAW = Path(__file__).parent / "psse_records" / "ThreeBusMulti.raw"
+MACHINE = "8 0.03 0.4 0.05 6.175 0.05 1.8 1.7 0.3 0.55 0.25 0.2"
+SEXS = "102 'SEXS' 1 0.4 5 20 1 -50 50 /\n"
+PIDGOV = "0.05 0.01 5 1 0.1 0.5 0.99 0.001 0.1 0.7 0.3 0.9 0.5 0.9 1 0.05 1 0.6 0.04 -0.04"
+WPIDHY = "0.01 -0.05 3 0.5 3 0.02 0.01 0.025 -0.025 1 0.2 3.25 52001 0 0 0.12 0.545 0.4 0.827 0.83 1"
+ST8C = "0.01 5 5 99.99 0 4 0.1 99.9962 -99.866 1.35 0.003 99.3449 -99.1691 0.5 0.005 0.1 4 0 0 0 99 0 0 99"
+
+#: test/results/results_eigenvalues.jl at d94d74e: test58 (gate, power), test60; the upper half, 1/s
+PRINTED = {
+    f"102 'PIDGOV' 1 1 {PIDGOV} /": (
+        "-100.00010646 -41.17482850 -38.78987098 -5.71823817 -3.79356589 -2.04541569 "
+        "-2.00000000 -1.22285558+0.72000477j -0.96552066 -0.90013340+8.44783636j "
+        "-0.19849914+0.17939599j -0.04238523"
+    ),
+    f"102 'PIDGOV' 1 0 {PIDGOV} /": (
+        "-99.99999037 -41.17481962 -38.78985513 -5.64742744 -3.89829432+1.57542841j "
+        "-2.00000000 -0.94925537 -0.86866757+8.49611151j -0.28282149+1.10977593j "
+        "-0.19750666+0.17956822j -0.11697960"
+    ),
+    f"102 'WPIDHY' 1 {WPIDHY} /": (
+        "-106.13231871 -91.13024820 -63.86880813 -40.03565107 -38.75323547+8.12581882j "
+        "-6.10482678 -1.39512724+5.96660797j -0.94495311 -0.48179150 -0.19415050+0.18213498j "
+        "-0.03057660+0.30118043j"
+    ),
+}
+
+
+def case_with(records: str, folder: Path, machine: str = f"{MACHINE} 0 1") -> Case:
+    """Three buses, an infinite one; 70 MW at bus 102 and a load of 200 MW, as in the tests of the source."""
+    dyr = folder / "grid.dyr"
+    dyr.write_text(f"101 'GENCLS' 1 0 0 /\n102 'GENROU' 1 {machine} /\n{records}\n")
+    raw = folder / "grid.raw"
+    text = RAW.read_text().replace("1,   250.000,    30.000", "1,   200.000,    30.000")
+    raw.write_text(text.replace("102,'1 ',   100.000", "102,'1 ',    70.000").replace("153.335", "133.335"))
+    return import_psse(raw, dyr).case
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("record", PRINTED, ids=("gate", "power", "WPIDHY"))
+def test_the_eigenvalues_are_those_printed(record: str, tmp_path: Path) -> None:
+    found = np.linalg.eigvals(state_matrix(case_with(SEXS + record, tmp_path), default_cache()))
+    for printed in map(complex, PRINTED[record].split()):
+        assert np.abs(found - printed).min() < 2e-8 * max(1.0, abs(printed))
+
+
+def test_the_exciter_with_field_current_regulator_rests_as_printed(tmp_path: Path) -> None:
+    """test61_x0_init: measured field current and bridge; the source's 0.577 stands for 1/sqrt(3)."""
+    case = case_with(f"102 'ST8C' 1 0 0 0 2 {ST8C} /", tmp_path, f"{MACHINE} 0.1 0.8")
+    signals = operating_point(case).controls.of("exciter")[0].rest.signals
+    assert signals["fi"] == signals["vp"] == pytest.approx(0.7941264727636811, abs=2e-8)
+    assert signals["vr"] == pytest.approx(0.4063734757053926, rel=2e-5)
+    assert signals["va"] == pytest.approx(3.0101738941140193 * 0.1, rel=2e-5)
+
+
+def response(TD: float, omega: float) -> complex:
+    """Gain from speed to power of DEGOV at a frequency, by complex steps of its equations."""
+    values = DEGOV | {"TD": TD, "TMIN": 0.0, "TMAX": 1.1, MBASE: 100.0}
+    point = rest_of(library()["degov"], values, {"slip": 0.0, "pe": 0.7}, 0.7, "test")
+    n, h = len(point.states), 1e-30
+    steps = 1j * h * np.eye(n + 1)
+    runs = [point.instance.run(point.states + step[:n], {"slip": step[n], "pe": 0.7}) for step in steps]
+    slopes = np.array([[np.imag(v) / h for v in (*rates, signals["pm"])] for signals, rates in runs]).T
+    A, B, C, D = slopes[:n, :n], slopes[:n, n], slopes[n, :n], slopes[n, n]
+    return complex(C @ np.linalg.solve(1j * omega * np.eye(n) - A, B) + D)
+
+
+DEGOV = {"T1": 0.01, "T2": 0.02, "T3": 0.2, "K": 10.0, "T4": 0.25, "T5": 0.01, "T6": 0.04}
+
+
+@pytest.mark.parametrize("delay_s", [0.05, 1.0])
+def test_the_engine_delay_is_that_of_the_exponential(delay_s: float) -> None:
+    """Up to 0.5/TD Hz within 0.1 degree of exp(-s TD) and of the same size."""
+    omegas = 2.0 * np.pi * np.array([0.05, 0.2, 0.5]) / delay_s
+    late, here = ([response(TD, omega) - 0.7 for omega in omegas] for TD in (delay_s, 0.0))  # pm (1 + slip)
+    turn = np.array(late) / here * np.exp(1j * omegas * delay_s)
+    assert np.abs(np.degrees(np.angle(turn))).max() < 0.1
+    assert np.abs(turn) == pytest.approx(1.0, abs=1e-12)
+
+
+def test_the_valve_curve_of_wsieg1_gives_the_flow(tmp_path: Path) -> None:
+    """IEEEG1 where the curve is a straight line of slope 1, and the valve read off the curve at rest."""
+    head = "0 0 20 0 0 0.1 0.3 -0.5 1 0 0.25 1 0 0 0 0 0 0 0 0 0 0"
+    case = {
+        curve: case_with(f"102 'WSIEG1' 1 {head} 0 0 0 {curve} 0 /", tmp_path)
+        for curve in (
+            "0 0 0 0 0 0 0 0 0 0",
+            "0 0 0.3 0.3 0.5 0.5 0.7 0.7 1 1",
+            "0 0 0.2 0.5 0.4 0.6 0.8 0.8 1 1",
+        )
+    }
+    plain, straight, bent = (
+        operating_point(c).controls.of("governor")[0].rest.signals for c in case.values()
+    )
+    assert plain["s"] == straight["s"] == pytest.approx(plain["pm"], rel=1e-12)
+    assert bent["v"] == pytest.approx(0.7, rel=1e-12) and bent["s"] == pytest.approx(0.6, rel=1e-12)
+
+
+REFUSED = {
+    f"102 'WSIEG1' 1 {'0 ' * 5}0.1 0.3 -0.5 1 0 0.25 1{' 0' * 10} 0.01{' 0' * 13} /": r"23 \(DB1\) = 0\.01",
+    "102 'IEEEST' 1 1 7 0 0 0 0 0 0 0 0 0 0 5 10 3 0.1 -0.1 0 0 /": r"IEEEST field 2 \(BUS\) = 7, allowed: 0",
+    "102 'IEEEST' 1 2 0 0 0 0 0 0 0 0 0 0 0 5 10 3 0.1 -0.1 0 0 /": "a bus frequency is not modelled",
+    "102 'PSSSIM' 1 1 34 30 5 6 7 8 100 20 0.06 0.04 0.08 0.04 1 -1 /": "GridPACK.*--leave-out PSSSIM",
+    "102 'MAXEX2' 1 0 /": "'MAXEX2' .* excitation limiter, .*--leave-out MAXEX2 goes on without it",
+}
+
+
+@pytest.mark.parametrize("record", REFUSED)
+def test_what_is_not_modelled_is_refused_for_its_reason(record: str, tmp_path: Path) -> None:
+    with pytest.raises((CaseError, DeviceError), match=REFUSED[record]):
+        case_with(SEXS + record, tmp_path)
+
+
+def test_a_bus_field_may_name_the_own_bus_and_a_derivative_is_an_input(tmp_path: Path) -> None:
+    """ICS = 6: the derivative of the voltage."""
+    tail = "0 0 0 0 0 0 0 0 0 0 5 10 3 0.1 -0.1 0 0 /"
+    case = case_with(f"{SEXS}102 'IEEEST' 1 6 102 {tail}", tmp_path)
+    stabilizer = next(m for m in case.machines if m.name == "G102").stabilizer
+    assert stabilizer.ICS == 6.0 and "102 'IEEEST' '1' 6.0 0.0 " in dyr_of(case).text
+
+
+def test_a_limiter_that_acts_at_rest_is_named(tmp_path: Path) -> None:
+    record = "102 'ST6B' 1 0 0.012 50 45 0 0 4.81 -3.85 1 1 1 17.3 {} 4.81 -3.85 1 0.02 /"
+    case_with(record.format(4.0), tmp_path)
+    with pytest.raises(StartError, match=r"vr is 1\.\d+ at rest, but max\(vl, VRMIN\) = .* holds it below"):
+        operating_point(case_with(record.format(1.5), tmp_path))
