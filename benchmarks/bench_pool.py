@@ -28,7 +28,7 @@ from interarea.cosim.sweep.front import Progress, run_sweep
 from interarea.cosim.sweep.parts import read_rows
 
 SHORT = SCENARIO | {"stop_s": 1.5}
-WAYS = ("pool", "LocalCluster")
+KINDS = ("pool", "LocalCluster")
 
 
 def document(runs: int) -> dict[str, Any]:
@@ -53,11 +53,11 @@ def killer(runs: int) -> Callable[[Progress], None]:
     return kill
 
 
-def seconds(way: str, runs: int, workers: int, folder: Path, kill: bool) -> float:
+def seconds(kind: str, runs: int, workers: int, folder: Path, kill: bool) -> float:
     """Return how long a sweep takes from nothing to its last row, s."""
     progress = killer(runs) if kill else None
     start = time.perf_counter()
-    if way == "pool":
+    if kind == "pool":
         run_sweep(document(runs), folder, workers=workers, progress=progress)
     else:
         with LocalCluster(
@@ -75,22 +75,23 @@ def main() -> int:
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--rounds", type=int, default=3)
     given = parser.parse_args()
-    times: dict[tuple[str, bool], list[float]] = {(way, kill): [] for way in WAYS for kill in (False, True)}
+    cells = [(kind, kill) for kind in KINDS for kill in (False, True)]
+    times: dict[tuple[str, bool], list[float]] = {cell: [] for cell in cells}
     same = True
     with tempfile.TemporaryDirectory() as scratch:
         run_sweep(document(4), Path(scratch) / "warm", workers=1)
         for turn in range(given.rounds):
             for kill in (False, True):
                 rows = []
-                for way in WAYS if turn % 2 else WAYS[::-1]:
-                    out = Path(scratch) / f"{way}-{kill}-{turn}"
-                    times[way, kill].append(seconds(way, given.runs, given.workers, out, kill))
-                    took = times[way, kill][-1]
-                    print(f"{way}{', a worker killed' if kill else ''}: {took:.2f} s", file=sys.stderr)
+                for kind in KINDS if turn % 2 else KINDS[::-1]:
+                    out = Path(scratch) / f"{kind}-{kill}-{turn}"
+                    times[kind, kill].append(seconds(kind, given.runs, given.workers, out, kill))
+                    took = times[kind, kill][-1]
+                    print(f"{kind}{', a worker killed' if kill else ''}: {took:.2f} s", file=sys.stderr)
                     rows.append(read_rows(out).drop(columns="reason"))
                 same &= rows[0].equals(rows[1])
     for kill in (False, True):
-        ours, theirs = (statistics.median(times[way, kill]) for way in WAYS)
+        ours, theirs = (statistics.median(times[kind, kill]) for kind in KINDS)
         what = "one worker killed" if kill else "undisturbed"
         seen = f"pool {ours:.2f} s, LocalCluster {theirs:.2f} s, ratio {theirs / ours:.2f}"
         print(f"{given.runs} runs, {what}: {seen}")

@@ -14,10 +14,10 @@ from pydantic import BaseModel, ValidationError
 Location = tuple[int | str, ...]
 
 
-def meant(name: object, known: Iterable[object]) -> str:
+def suggestion(name: object, known: Iterable[object]) -> str:
     """Return the clause that names the keys closest to `name`, else the keys there are.
 
-    >>> meant("latncy_s", ["latency_s", "loss"])
+    >>> suggestion("latncy_s", ["latency_s", "loss"])
     "did you mean 'latency_s'?"
     """
     names = sorted({str(k) for k in known})
@@ -50,11 +50,11 @@ def mistakes(
         words, known = _followed(model, row["loc"])
         key = ".".join(words if path_of is None else path_of(row["loc"]))
         if key not in lines:  # the members of a union each say why they are not meant
-            lines[key] = _told(key, row, [k for k in known if k not in hidden])
+            lines[key] = _lines_of(key, row, [k for k in known if k not in hidden])
     return [line for message in lines.values() for line in message]
 
 
-def _told(key: str, row: Any, known: Sequence[str]) -> list[str]:
+def _lines_of(key: str, row: Any, known: Sequence[str]) -> list[str]:
     provided, context = row["input"], row.get("ctx", {})
     message = row["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
     own = str(row["loc"][-1]) if row["loc"] else key
@@ -66,7 +66,7 @@ def _told(key: str, row: Any, known: Sequence[str]) -> list[str]:
         case "missing":
             return [f"{key} is missing"]
         case "extra_forbidden" | "unexpected_keyword_argument":  # of a table, of a dataclass
-            return [f"{key} = {provided!r}: no such key; {meant(own, known)}"]
+            return [f"{key} = {provided!r}: no such key; {suggestion(own, known)}"]
         case "union_tag_not_found":
             return [f"{key}.kind is missing"]
         case "union_tag_invalid":

@@ -40,7 +40,7 @@ SWEEP: dict[str, Any] = {
 }
 
 
-def met_by(way: Callable[[], object]) -> set[Path]:
+def met_by(action: Callable[[], object]) -> set[Path]:
     """Return our Python files of which a function runs while `way` is gone."""
     collected: set[CodeType] = set()
 
@@ -50,7 +50,7 @@ def met_by(way: Callable[[], object]) -> set[Path]:
 
     sys.setprofile(note)
     try:
-        way()
+        action()
     finally:
         sys.setprofile(None)
     files = {Path(code.co_filename) for code in collected if code.co_flags & _FUNCTION}

@@ -93,7 +93,7 @@ void *devices_open(size_t which, size_t n, size_t given, size_t states, uint64_t
     b->x = room(states * n), b->turned = room(states * n), b->dx = room(states * n);
     b->vt = room(n), b->vs = room(n), b->slip = room(n), b->ifd = room(n), b->step = room(n), b->given = room(n);
     for (size_t k = 0; k < n; ++k) {
-        const double off = 1.0 + 1e-3 * (double)(k % 7);   /* no two neighbours alike */
+        const double off = 1.0 + 1e-3 * (double)(k % 7);   /* neighbours differ */
         b->machine[k] = (double)k, b->vt[k] = 1.02 * off, b->ifd[k] = 1.8 * off, b->slip[k] = 1e-3 * off;
         for (size_t i = 0; i < given; ++i) b->table[i * n + k] = parameters[i];
         for (size_t i = 0; i < states; ++i) b->x[k * states + i] = b->turned[i * n + k] = x[i] * off;

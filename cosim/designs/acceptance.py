@@ -285,7 +285,7 @@ def judge_acceptance(
     """
     places = list(product(cases, (None, *table.ceilings), (None, *table.loads)))
     loops: dict[tuple[str, tuple[float, float] | None], FaultLoops] = {}
-    collected = _Found()
+    collected = _Collected()
     rows: list[ClearingRow] = []
     for done, (point, ceiling, loads) in enumerate(places):
         progress(done / len(places))
@@ -328,7 +328,7 @@ Groups: TypeAlias = Sequence[tuple[Setting, list[Setting]]]
 
 
 @dataclass
-class _Found:
+class _Collected:
     """What the runs and loops of an acceptance came to, as they come."""
 
     lost: list[str] = field(default_factory=list)

@@ -307,8 +307,8 @@ def run_design(
         "evaluations": made.evaluations,
     }
     guard = None if table.guard is None else table.guard.guard()
-    found_system = scaled_inputs(made.system, table.gain_of)
-    system = found_system if guard is None else with_input(found_system, guard.follows)
+    searched = scaled_inputs(made.system, table.gain_of)
+    system = searched if guard is None else with_input(searched, guard.follows)
     controller = Controller(table.name, system, table.limit_pu, facts, guard=guard)
     held = certify(table, controller, cache, progress=lambda _, share: progress(certifying, share, ""))
     progress(certifying, 1.0, "")

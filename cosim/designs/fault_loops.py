@@ -71,7 +71,7 @@ class FaultLoops:
         self.case, self.controller, self._cache = case, controller, cache
         self._plants: dict[str | None, FamilyPlant] = {}
         self.unsolved: list[str] = []  #: branches without which no power flow is found
-        self._found: dict[tuple[str | None, tuple[str, ...], float, bool], LoopEnd] = {}
+        self._ends: dict[tuple[str | None, tuple[str, ...], float, bool], LoopEnd] = {}
 
     def end(
         self, trip: str | None, lost: Sequence[str] = (), latency_s: float = 0.0, *, controlled: bool = True
@@ -80,9 +80,9 @@ class FaultLoops:
         if trip is not None and not self.case.branch(trip).in_service:
             trip = None  # it is out already
         key = (trip, tuple(lost), latency_s, controlled)
-        if key not in self._found:
-            self._found[key] = self._end(self._plant(trip), lost, latency_s, controlled)
-        return self._found[key]
+        if key not in self._ends:
+            self._ends[key] = self._end(self._plant(trip), lost, latency_s, controlled)
+        return self._ends[key]
 
     def _plant(self, trip: str | None) -> FamilyPlant:
         if trip not in self._plants:

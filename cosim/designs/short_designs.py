@@ -56,13 +56,13 @@ def short_designs(
     cache: Path,
     *,
     latency_s: float = LATENCY_S,
-    told: Callable[[int], None] = lambda _: None,
+    done: Callable[[int], None] = lambda _: None,
 ) -> tuple[ShortDesign, ...]:
     """Design a controller for each set shortly, with the same effort for all; return them in their order.
 
     Each loop has four states and sees its own machine's speed and those of its signal. Nothing late and
     everything `latency_s` late, two first guesses; judged on the full plant with exact latency.
-    told : called with how many are done.
+    done : called with how many are done.
 
     Raises
     ------
@@ -85,7 +85,7 @@ def short_designs(
             own = FamilyPlant(case, near, tuple(alone), blocks, small)
             rival = _reached(own, alone, latency_s) if alone else 0.0
         designs.append(ShortDesign(one, reached, max(rival, _uncontrolled(plant))))
-        told(k + 1)
+        done(k + 1)
     return tuple(designs)
 
 

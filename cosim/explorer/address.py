@@ -38,7 +38,7 @@ def address_of(subject: Subject, scenario: Scenario) -> str | None:
     scenario : of the same case; its operating point one that the page has prepared.
     """
     base = subject.scenario
-    if _rest(scenario) != _rest(base) or not _same_ways(base.channels, scenario.channels):
+    if _rest(scenario) != _rest(base) or not _same_channels(base.channels, scenario.channels):
         return None
     state, start = state_of(replace(subject, scenario=scenario)), state_of(subject)
     point = scenario.operating_point.model_dump(exclude_defaults=True)
@@ -56,7 +56,7 @@ def _rest(scenario: Scenario) -> dict[str, Any]:
     return scenario.model_dump(exclude=_SET | _WORDS)
 
 
-def _same_ways(base: Mapping[str, ChannelTable], other: Mapping[str, ChannelTable]) -> bool:
+def _same_channels(base: Mapping[str, ChannelTable], other: Mapping[str, ChannelTable]) -> bool:
     """Whether channels differ in what an address can say alone."""
     if base.keys() != other.keys():
         return False

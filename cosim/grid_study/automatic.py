@@ -87,11 +87,11 @@ def design_for(
     _, loops, search, faults = DESIGN_STAGES
     shares = {"loops": (0.0, 0.8), "operating points": (0.8, 0.2)}
 
-    def told(step: str, share: float) -> None:
+    def relayed(step: str, share: float) -> None:
         start, part = shares[step]
         report(loops, start + part * share)
 
-    findings = find(weak, cache, clock, progress=told)
+    findings = find(weak, cache, clock, progress=relayed)
     report(loops, 1.0)
     shown(findings)
     weakest = {"base": weak.weakest.damping_ratio} | {r.point.name: r.least for r in findings.points}

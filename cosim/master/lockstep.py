@@ -56,21 +56,21 @@ def advance_together(masters: Sequence[Master], *, watch: Watch | None = None) -
 
 def _step(
     masters: Sequence[Master],
-    under_way: list[tuple[int, Kernel]],
+    in_progress: list[tuple[int, Kernel]],
     watch: Watch | None,
     ended: list[Exception | None],
 ) -> None:
     """Let the kernels step until each has ended."""
-    steps = {number: len(masters[number].clock.steps) for number, _ in under_way}
-    while under_way:
-        kernels = [kernel for _, kernel in under_way]
+    steps = {number: len(masters[number].clock.steps) for number, _ in in_progress}
+    while in_progress:
+        kernels = [kernel for _, kernel in in_progress]
         try:
-            errors = run_kernels(kernels, [steps[number] for number, _ in under_way], budget_s=_BUDGET_S)
+            errors = run_kernels(kernels, [steps[number] for number, _ in in_progress], budget_s=_BUDGET_S)
         finally:  # Ctrl-C too
-            for number, kernel in under_way:
+            for number, kernel in in_progress:
                 masters[number].sync_from_kernel(kernel)
         going: list[tuple[int, Kernel]] = []
-        for (number, kernel), error in zip(under_way, errors, strict=True):
+        for (number, kernel), error in zip(in_progress, errors, strict=True):
             master = masters[number]
             if error is not None:
                 master.fail(error)
@@ -83,7 +83,7 @@ def _step(
             if error is None and not (master.finished or master.cancelled):
                 kernel.begin(kernel.index, kernel.row)
                 going.append((number, kernel))
-        under_way = going
+        in_progress = going
 
 
 @contextmanager

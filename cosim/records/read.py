@@ -83,7 +83,7 @@ def read_record(
         values, step_s, resampling = resampled(values, step_s, rate_hz, name)
         notes += [resampling] if resampling else []
     time_s = step_s * np.arange(len(values), dtype=np.float64)
-    channels = tuple(r.channel for r in _told_apart(raws))
+    channels = tuple(r.channel for r in _distinct(raws))
     record = Record(name, time_s, values, channels, tuple(notes), start)
     if len(record.still()) == len(channels):
         raise RecordError(
@@ -393,7 +393,7 @@ def _wrong_scale(source: str, channel: Channel, got: str, allowed: str, unit: st
     )
 
 
-def _told_apart(raws: Sequence[Raw]) -> list[Raw]:
+def _distinct(raws: Sequence[Raw]) -> list[Raw]:
     """Return the channels with names of their own."""
     seen: dict[str, int] = {}
     channels = []

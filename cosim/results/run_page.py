@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from .metrics import Metrics
 
 
-class Told(Ran, Protocol):
+class Reported(Ran, Protocol):
     """What the page tells of: what is drawn, with its numbers and ledgers."""
 
     @property
@@ -30,7 +30,7 @@ _NUMBERS = {
 }
 
 
-def run_page(run: Told, explorer: str = "") -> str:
+def run_page(run: Reported, explorer: str = "") -> str:
     """Return the page of a run.
 
     explorer : address of the page on which the same run can be dragged; "" where there is none.

@@ -37,11 +37,11 @@ def refuse_wrong_names(scenario: Scenario) -> None:
     for name, channel in scenario.channels.items():
         with wrong:
             channel.parameters(f"{scenario.name}: channels.{name}")
-    if wrong.lines and _told_without_fmus(scenario, case, missing):
+    if wrong.lines and _checked_without_fmus(scenario, case, missing):
         raise ScenarioError(*wrong.lines)
 
 
-def _told_without_fmus(scenario: Scenario, case: Any, missing: bool) -> bool:
+def _checked_without_fmus(scenario: Scenario, case: Any, missing: bool) -> bool:
     """Whether no FMU has to be asked for what else is wrong; missing : there is no such controller."""
     keys = ("plant", "show", "record", "connections", "fmus", "concentrators")
     if scenario.master.joint or any(getattr(scenario, key) for key in keys):

@@ -237,8 +237,8 @@ class Runner:
         if error is None:
             try:
                 return self._measured(job, *home[job.run])
-            except Exception as found:
-                error = found
+            except Exception as raised:
+                error = raised
         return self._failure(job.run, error)
 
     def _begun(

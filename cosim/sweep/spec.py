@@ -32,7 +32,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, ValidationError, model_validator
 
 from interarea.models.errors import Collected
-from interarea.models.mistakes import meant, mistakes
+from interarea.models.mistakes import mistakes, suggestion
 from interarea.models.table import ShortName, Table, Title
 
 from ..errors import SweepError, nearest
@@ -252,7 +252,7 @@ def sweep_of(table: Mapping[str, Any], where: str, folder: Path) -> Sweep:
     raw, sweep = dict(table), Collected()
     base = raw.pop("base", None)
     if base is not None:
-        sweep.lines.append(f"{where}: base = {base!r}: no such key; {meant('base', _KEYS)}")
+        sweep.lines.append(f"{where}: base = {base!r}: no such key; {suggestion('base', _KEYS)}")
     with sweep:
         raw["base"] = _base(raw.pop("scenario", None), where, folder, raw)
     try:

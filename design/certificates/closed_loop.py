@@ -220,12 +220,12 @@ def loss_criterion(plant: control.StateSpace, K: control.StateSpace, kept: str |
     if not names:
         return 0.0
     G = select(plant, list(K.output_labels), names)
-    standing = bool(np.abs(np.linalg.eigvals(np.asarray(G.A))).min(initial=np.inf) < ZERO_EIGENVALUE)
+    integrating = bool(np.abs(np.linalg.eigvals(np.asarray(G.A))).min(initial=np.inf) < ZERO_EIGENVALUE)
     return largest_real_gain(
         K,
         names,
         lambda s: G.C @ np.linalg.solve(s * np.eye(G.nstates) - G.A, G.B) + G.D,
-        at_rest=not standing,
+        at_rest=not integrating,
     )
 
 

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from ..linear.sparse_plant import SparsePlant
 from .modes import Mode, ModeError
 
-_ALIKE = 0.25  # less is another mode
+_SAME = 0.25  # less is another mode
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class LoopPoint:
         ------
         ModeError : a grid of other machines or devices.
         """
-        best, most = None, _ALIKE
+        best, most = None, _SAME
         for mode in self.modes:
             if len(mode.right) != len(target.right):
                 raise ModeError(

@@ -217,12 +217,12 @@ def modes_of(
         swinging = swinging[: len(machines) - 1]
     candidates = sorted(swinging, key=lambda i: spectrum.values[i].imag)
     fits = [spectrum.fit(i, C, states, area_of) for i in candidates]
-    found_modes = {}
+    named = {}
     for r, (name, part, rivals) in assigned_names(fits, area_of, least_share).items():
         i = candidates[r]
         shape = C @ spectrum.right[:, i]
         shape = shape / shape[np.argmax(np.abs(shape))]
-        found_modes[name] = Mode(
+        named[name] = Mode(
             name=name,
             eigenvalue=complex(spectrum.values[i]),
             shape=dict(zip(machines, shape.tolist(), strict=True)),
@@ -232,14 +232,14 @@ def modes_of(
             left=spectrum.left[:, i],
             rivals=tuple(spectrum.values[[candidates[k] for k in rivals]].tolist()),
         )
-    if len(set(areas.values())) > 1 and not any(n.startswith("inter-area") for n in found_modes):
+    if len(set(areas.values())) > 1 and not any(n.startswith("inter-area") for n in named):
         raise ModeError(
             f"no mode in which the areas {sorted(set(areas.values()))} swing against each other; found "
-            f"{', '.join(found_modes)}: are the machines assigned to the right areas? The whole spectrum: "
+            f"{', '.join(named)}: are the machines assigned to the right areas? The whole spectrum: "
             f"{growth.text}"
         )
-    order = sorted(found_modes, key=_name_key)
-    return Modes({name: found_modes[name] for name in order}, spectrum.values, growth)
+    order = sorted(named, key=_name_key)
+    return Modes({name: named[name] for name in order}, spectrum.values, growth)
 
 
 @dataclass(frozen=True)

@@ -32,13 +32,13 @@ def build_objective(plants: Mapping[str, control.StateSpace], spec: RobustSpec, 
     omega = np.geomspace(0.1, 300.0, 70)
     for point, plant in plants.items():
         full = select(speeds_in_rad(plant, omega_b), list(spec.actuators), list(spec.signals))
-        swinging, standing = without_common_speed(full), _common_speed(full)
+        swinging, common = without_common_speed(full), _common_speed(full)
         unstable = int(np.count_nonzero(np.linalg.eigvals(swinging.A).real >= 0.0))
         order = min(max(spec.plant_order, unstable + 2), swinging.nstates)
         small = balanced_truncation(swinging, order).system
-        if standing is not None:
+        if common is not None:
             # without a Gramian it is not reduced; without it the loop's gain near rest would be another
-            small = assemble(small, matrices(small), standing)
+            small = assemble(small, matrices(small), common)
         response = frequency_response(full.A, full.B, full.C, full.D, omega)
         for condition in spec.conditions:
             name = f"{point}: {condition.name}"

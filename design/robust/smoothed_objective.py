@@ -296,12 +296,12 @@ class Objective:
         away = np.maximum(a, 0.0)
         da = np.where(fast, b**2 / m**3, 1.0 / SLOW_RADIUS) + 2.0 * away
         db = np.where(fast, -a * b / m**3, 0.0) + slope * np.sign(b)
-        standing = (
+        is_common = (
             (modulus < COMMON_SPEED)
             & (a < ZERO_EIGENVALUE)
             & (modulus <= modulus.min(axis=-1, keepdims=True))
         )
-        return np.where(standing, -1.0, offset + a / m + away**2), np.where(standing, 0.0, da - 1j * db)
+        return np.where(is_common, -1.0, offset + a / m + away**2), np.where(is_common, 0.0, da - 1j * db)
 
     def bends(self, eigenvalue: complex) -> tuple[float, float, float]:
         """Second derivatives of v: over a twice, over a and b, over b twice."""

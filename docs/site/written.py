@@ -43,9 +43,9 @@ def _flat(value: Any, before: str = "") -> Iterator[tuple[str, Any]]:
         yield before, value
 
 
-def told_by(key: str, told: Mapping[str, str]) -> str | None:
+def covered_by(key: str, keys: Mapping[str, str]) -> str | None:
     """Return the entry that tells a key: its own, a pattern, or that of what it lies in."""
-    for name in told:
+    for name in keys:
         parts = name.split(".")
         words = key.split(".")[: len(parts)]
         if len(words) == len(parts) and all(map(fnmatchcase, words, parts)):
@@ -122,7 +122,7 @@ def _key_table(file: Mapping[str, Any], folder: Path | None) -> Iterator[str]:
     keys = {} if folder is None else keys_of(next(iter(sorted(folder.glob(file["path"])))))
     examples: dict[str, str] = {}
     for key, value in keys.items():
-        name = told_by(key, file["keys"])
+        name = covered_by(key, file["keys"])
         text = value if isinstance(value, str) else json.dumps(value, default=str)
         if name is not None and text and len(text) <= SHORT:
             examples.setdefault(name, f"`{text}`".replace("|", "\\|"))

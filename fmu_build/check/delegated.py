@@ -1,7 +1,7 @@
-"""Rules that fmpy and fmu-manipulation-toolbox already check, told in one voice.
+"""Rules that fmpy and fmu-manipulation-toolbox already check, reported in one form.
 
 Each of their messages is sorted under a rule with its fix; when both tools
-find the same thing it is told once.
+find the same thing it is reported once.
 """
 
 from __future__ import annotations

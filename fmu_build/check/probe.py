@@ -54,7 +54,7 @@ def main(request_file: str, result_file: str) -> None:
                 if interface not in libraries:
                     libraries[interface] = _library(interface, folder, Path(binary))
                 topics = check_real_code.TOPICS if interface == check_real_code.INTERFACE else TOPICS
-                topics[topic](libraries[interface], lambda *f, told=reported: told.append(f))  # type: ignore[operator]
+                topics[topic](libraries[interface], lambda *f, rows=reported: rows.append(f))  # type: ignore[operator]
             except CallFailed as error:
                 reported.append(
                     (

@@ -44,16 +44,16 @@ def check_library(path: Path, report: Report) -> bool:
         report.add("DLL file", path.name, "is neither a Windows nor a Linux library", "give the compiled DLL")
         return False
     name, bits = kind
-    told = {
+    declared = {
         b
         for part in (*path.parts[-3:-1], path.stem)
         for b in re.findall(r"(?:win|linux|bin|_)(32|64)$", part)
     }
-    if told and str(bits) not in told:
+    if declared and str(bits) not in declared:
         report.add(
             "DLL bits",
             path.name,
-            f"has {bits} bits; its name or folder says {' and '.join(sorted(told))}",
+            f"has {bits} bits; its name or folder says {' and '.join(sorted(declared))}",
             "build it for the tool that loads it: ATP takes 32 bits, PSCAD those of its Fortran compiler",
         )
     loads = bits == _HERE and name == ("PE" if sys.platform == "win32" else "ELF")
@@ -126,8 +126,8 @@ def description(library: RealCodeLibrary, tell: Tell) -> None:
                 tell("DLL names", p.name, "is used twice", "give each port a name of its own")
     for p in info.parameters:
         if isinstance(p.start, int | float) and not p.low <= p.start <= p.high:
-            told = f"default {p.start:g} lies outside {p.low:g} to {p.high:g}"
-            tell("DLL ranges", p.name, told, "put the default into the range")
+            reason = f"default {p.start:g} lies outside {p.low:g} to {p.high:g}"
+            tell("DLL ranges", p.name, reason, "put the default into the range")
     if not info.sample_time_s > 0.0:
         tell("DLL sample time", INTERFACE, f"is {info.sample_time_s:g} s", "give a time above 0")
     if info.version[0] != 1:
@@ -153,8 +153,8 @@ def finite(library: RealCodeLibrary, tell: Tell) -> None:
             if p.type in (8, 9) and not math.isfinite(model.outputs[p.name])
         ]
         if bad and code < ERROR:
-            told = f"is {model.outputs[bad[0]]} after finite inputs with return code {code}"
-            tell("DLL errors", bad[0], told, "return 2 with LastErrorMessage")
+            reason = f"is {model.outputs[bad[0]]} after finite inputs with return code {code}"
+            tell("DLL errors", bad[0], reason, "return 2 with LastErrorMessage")
             return
 
 
@@ -281,7 +281,7 @@ def messages(library: RealCodeLibrary, tell: Tell) -> None:
 
 
 def _writable(address: int) -> bool:
-    """Whether this process may write there; False where that cannot be told."""
+    """Whether this process may write there; False where that cannot be reason."""
     try:
         lines = Path("/proc/self/maps").read_text(encoding="utf-8").splitlines()
     except OSError:
@@ -320,8 +320,8 @@ def leaks(library: RealCodeLibrary, tell: Tell) -> None:
         growth(20)
         few, many = growth(100), growth(400)
         if many - few > 300 * 8:
-            told = f"{what} loses {(many - few) / 300:.0f} bytes"
-            tell("DLL memory", INTERFACE, told, "free in Model_Terminate what Model_FirstCall took")
+            reason = f"{what} loses {(many - few) / 300:.0f} bytes"
+            tell("DLL memory", INTERFACE, reason, "free in Model_Terminate what Model_FirstCall took")
 
 
 class _Heap(ctypes.Structure):
@@ -330,11 +330,11 @@ class _Heap(ctypes.Structure):
 
 def _heap() -> Callable[[], int] | None:
     """Bytes in use of glibc's heap, or None where they cannot be counted."""
-    told = getattr(ctypes.CDLL(None), "mallinfo2", None) if sys.platform == "linux" else None
-    if told is None:
+    mallinfo = getattr(ctypes.CDLL(None), "mallinfo2", None) if sys.platform == "linux" else None
+    if mallinfo is None:
         return None
-    told.restype = _Heap
-    return lambda: int(told().f7)
+    mallinfo.restype = _Heap
+    return lambda: int(mallinfo().f7)
 
 
 def bounds(library: RealCodeLibrary, tell: Tell) -> None:

@@ -190,10 +190,10 @@ class RealCodeLibrary:
             if hasattr(self._c, name):
                 getattr(self._c, name).argtypes = [c_void_p]
                 getattr(self._c, name).restype = c_int32
-        told = self._c.Model_GetInfo()
-        if not told:
+        info = self._c.Model_GetInfo()
+        if not info:
             raise FmuFileError(f"{path}: Model_GetInfo gives no description")
-        i = told.contents
+        i = info.contents
         self.info = Info(
             tuple(i.version),
             {name: _text(getattr(i, name)) for name in _TEXTS},

@@ -1,4 +1,4 @@
-"""The case: everything a study is told about a grid, checked once, frozen from then on.
+"""The case: everything a study knows about a grid, checked once, frozen from then on.
 
 A case file is TOML. Tables of rows are keyed by their id; `source` and `defaults` of a table
 apply to all its rows:
@@ -9,7 +9,7 @@ apply to all its rows:
     base_mva = 100.0
     solver_step_s = 0.002       # optional: longest Runge-Kutta step of the plant FMU
     swing = ["G2", "G4"]        # optional: machines whose speed difference a run is judged by
-    devices = ["my_avr.toml"]   # optional: device files of one's own beside this one
+    devices = ["my_avr.toml"]   # optional: user-defined device files beside this one
     [branches]
     source = "Kundur1994, Ex. 12.6"
     "7-8 a" = { from = 7, to = 8, r = 0.011, x = 0.11, b = 0.1925 }

@@ -150,11 +150,11 @@ def case_document(
     keys = ("base", "change", "name", "title", "source")
     extra = sorted(set(raw) - set(keys))
     if extra:
-        from ..mistakes import meant
+        from ..mistakes import suggestion
         from .tables import CaseTables
 
         inside = extra[0] in CaseTables.model_fields or extra[0] == "event"
-        hint = "" if inside else f"; {meant(extra[0], keys)}"
+        hint = "" if inside else f"; {suggestion(extra[0], keys)}"
         raise CaseError(
             f"{where}: {extra[0]} stands outside [change]; a variant holds {', '.join(keys)}{hint}"
         )

@@ -39,7 +39,7 @@ class CaseTables(Table):
     #: machines whose difference of speeds a run is judged by; None: taken from the inter-area mode's shape
     swing: Annotated[tuple[str, ...], Field(min_length=2, max_length=2)] | None = None
     sources: Mapping[str, str] = {}  #: table -> "KEY, where"
-    devices: Mapping[str, str] = {}  #: device files of one's own beside this one, or what they hold by name
+    devices: Mapping[str, str] = {}  #: user-defined device files beside this one, or what they hold by name
     buses: Annotated[tuple[Bus, ...], Field(min_length=1)]  #: by number
     branches: tuple[Branch, ...] = ()  #: lines and transformers by name
     shunts: tuple[Shunt, ...] = ()  #: by name

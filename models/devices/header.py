@@ -45,7 +45,7 @@ def with_devices(header: str, keys: Collection[str]) -> str:
     missing = retained - set(branches.findall(header))
     if missing:
         raise ValueError(f"devices {sorted(missing)} are not in the generated header")
-    return branches.sub(lambda way: way.group() if way.group(1) in retained else "", header)
+    return branches.sub(lambda match: match.group() if match.group(1) in retained else "", header)
 
 
 def signature(own: Iterable[Model] = ()) -> int:

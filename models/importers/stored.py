@@ -137,11 +137,11 @@ def decide_units_at_load_buses(grid: StaticGrid, report: Report) -> None:
         return
     arrays = _Arrays(grid)
     off = arrays.off(arrays.start) * grid.base_mva
-    told_by_p = {load.bus for load in grid.loads if load.q_free}
+    of_p = {load.bus for load in grid.loads if load.q_free}
     for bus, units in at_load.items():
         provided = sum((complex(unit.p, unit.q) for unit in units), 0j)
         both = (complex(off[arrays.at[bus]]), complex(off[arrays.at[bus]]) + provided)
-        within, without = (abs(z.real if bus in told_by_p else z) for z in both)
+        within, without = (abs(z.real if bus in of_p else z) for z in both)
         if _fits(without, within):
             grid.units = [unit for unit in grid.units if unit not in units]
             what = "left out: the stored voltages are a solution without it"

@@ -54,8 +54,8 @@ def test_the_sound_block_is_clean(tmp_path: Path) -> None:
 def test_fault_is_found(fault: str, tmp_path: Path) -> None:
     number, rule, words = FAULTS[fault]
     report = check_file(faulty(number, tmp_path), timeout_s=4.0 if fault == "hangs" else 60.0)
-    told = [f.message for f in report.findings if f.rule == rule]
-    assert any(words in message for message in told), [f.line() for f in report.findings]
+    reported = [f.message for f in report.findings if f.rule == rule]
+    assert any(words in message for message in reported), [f.line() for f in report.findings]
 
 
 @pytest.mark.slow
@@ -113,11 +113,11 @@ def test_what_a_binary_needs_and_shows(tmp_path: Path) -> None:
     text = '<fmiModelDescription fmiVersion="2.0"><CoSimulation modelIdentifier="m"/></fmiModelDescription>'
     report = Report("m.fmu")
     check_binaries(read_description(etree.fromstring(text)), tmp_path, report)
-    told = {f.rule: f.message for f in report.findings}
-    assert "libodd.so" in told["binary libraries"]
-    assert "exports 1 names beside FMI's (own)" in told["binary symbols"]
-    assert "/opt/odd" in told["binary search path"]
-    assert "fmi2CancelStep" in told["FMI2 2.1.1 exported functions"]
+    reported = {f.rule: f.message for f in report.findings}
+    assert "libodd.so" in reported["binary libraries"]
+    assert "exports 1 names beside FMI's (own)" in reported["binary symbols"]
+    assert "/opt/odd" in reported["binary search path"]
+    assert "fmi2CancelStep" in reported["FMI2 2.1.1 exported functions"]
     shutil.copy(tmp_path / "libodd.so", folder)
     again = Report("m.fmu")
     check_binaries(read_description(etree.fromstring(text)), tmp_path, again)

@@ -62,8 +62,8 @@ SEEDS: dict[str, tuple[Edit, str, str]] = {
 def test_seed_is_found(seed: str, decay: Path, tmp_path: Path) -> None:
     edit, rule, words = SEEDS[seed]
     report = check_file(mutated(decay, tmp_path / "x.fmu", edit), run=seed != "unit with factor 0")
-    told = [f for f in report.findings if f.rule == rule]
-    assert told and any(words in f.message for f in told), [f.line() for f in report.findings]
+    reported = [f for f in report.findings if f.rule == rule]
+    assert reported and any(words in f.message for f in reported), [f.line() for f in report.findings]
 
 
 def test_a_state_that_shrinks_by_a_thousandth_a_step(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -79,8 +79,8 @@ def test_a_state_that_shrinks_by_a_thousandth_a_step(tmp_path: Path, monkeypatch
 
     monkeypatch.setattr(package, "source_files", changed)
     report = check_file(package.build_fmu(decay_block(name="shrinks"), tmp_path))
-    told = [f for f in report.findings if f.rule == "FMI2 4.3.1 one model"]
-    assert len(told) == 1 and told[0].where.endswith("x"), [f.line() for f in report.findings]
+    reported = [f for f in report.findings if f.rule == "FMI2 4.3.1 one model"]
+    assert len(reported) == 1 and reported[0].where.endswith("x"), [f.line() for f in report.findings]
 
 
 def test_what_was_not_run_is_not_clean(decay: Path, tmp_path: Path) -> None:

@@ -91,8 +91,8 @@ def test_defect_is_found_with_rule_and_fix(defect: str, seeded: dict[str, Path])
     _, rule, _ = DEFECTS[defect]
     # only what the binary itself shows needs it to be run
     report = check_file(seeded[defect], run="binary" in defect or "GUID" in defect)
-    told = [f for f in report.findings if f.rule == rule]
-    assert told, [f.line() for f in report.findings]
+    reported = [f for f in report.findings if f.rule == rule]
+    assert reported, [f.line() for f in report.findings]
     assert all(f.where and f.message and f.fix and "\n" not in f.line() for f in report.findings)
 
 

@@ -21,7 +21,7 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the defects are
 SOURCE = Path(__file__).parent / "blocks" / "lag_dll.c"
 DEFECTS = re.findall(r"[A-Z_]+", SOURCE.read_text().split("enum {")[1].split("}")[0])
 #: defect -> rule that tells it, words of the message
-FOUND = {
+REPORTED = {
     "PACKED": ("DLL alignment", "reads bytes of a structure that lie between its ports"),
     "NAME": ("DLL names", "is no C identifier"),
     "RANGE": ("DLL ranges", "default 2 lies outside 3 to 10"),
@@ -62,13 +62,13 @@ def lag(defect: str, folder: Path, cache: Path) -> Path:
 
 
 @pytest.mark.slow  # two seconds each
-@pytest.mark.parametrize("defect", list(FOUND))
+@pytest.mark.parametrize("defect", list(REPORTED))
 def test_a_defect_is_found(defect: str, tmp_path: Path, cache: Path) -> None:
-    rule, words = FOUND[defect]
+    rule, words = REPORTED[defect]
     report = check_file(lag(defect, tmp_path, cache), timeout_s=5.0 if defect == "HANG" else 60.0)
-    told = [f for f in report.findings if f.rule == rule]
-    assert any(words in f.message for f in told), report
-    assert "\n" not in told[0].line()
+    reported = [f for f in report.findings if f.rule == rule]
+    assert any(words in f.message for f in reported), report
+    assert "\n" not in reported[0].line()
 
 
 @pytest.mark.parametrize("defect", ["NONE", "NO_PARAMETERS"])
@@ -77,7 +77,7 @@ def test_a_good_one_is_clean(defect: str, tmp_path: Path, cache: Path) -> None:
 
 
 def test_every_defect_of_the_source_is_tried() -> None:
-    assert set(DEFECTS) == set(FOUND) | {"NONE", "NO_PARAMETERS", "BITS"}
+    assert set(DEFECTS) == set(REPORTED) | {"NONE", "NO_PARAMETERS", "BITS"}
 
 
 def test_bits_that_are_not_those_of_the_folder(tmp_path: Path) -> None:

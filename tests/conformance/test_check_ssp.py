@@ -157,8 +157,8 @@ def _without_validators(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_defect_is_found(defect: str, loop: Path, tmp_path: Path) -> None:
     edit, rule, words = DEFECTS[defect]
     report = check_file(mutated(loop, tmp_path / "x.ssp", edit), run=False)
-    told = [f for f in report.findings if f.rule == rule]
-    assert any(words in f.message for f in told), [f.line() for f in report.findings]
+    reported = [f for f in report.findings if f.rule == rule]
+    assert any(words in f.message for f in reported), [f.line() for f in report.findings]
 
 
 @pytest.mark.slow

@@ -184,10 +184,10 @@ def test_a_grid_out_of_step_is_told_once_that_not_every_switch_is_found(cache: P
     angles = alone.of("G1_delta") - alone.of("G16_delta")
     assert np.abs(angles[:, 0]).max() < np.pi < np.abs(angles[:, 1]).max()
     np.testing.assert_array_equal(beside.outputs, alone.outputs)
-    for parameters, told in zip(rows, (0, 1), strict=True):
+    for parameters, reported in zip(rows, (0, 1), strict=True):
         with Runner(plant_fmu(case, cache)) as run:
             run.start(parameters)
             for k in range(500):
                 run.step(0.01 * k, 0.01)
-            assert len(run.log) == told, run.log
+            assert len(run.log) == reported, run.log
             assert all("has taken 2000 evaluations" in line for line in run.log)

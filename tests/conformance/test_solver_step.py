@@ -142,17 +142,17 @@ def test_a_step_beyond_stability_is_told(step_s: float, cache: Path) -> None:
     fault = {"kind": "bus_fault", "bus": 8, "x_pu": 1e-4, "start_s": 0.1, "end_s": 0.2}
     start = event_parameters(case, events_of([fault], where="test")) | {"solver.step": step_s}
     plants = PlantLanes(case, cache)
-    told = plants.run([start], stop_s=0.5, step_s=0.02, lanes=1).errors[0]
-    assert "steps of" in told
-    assert "try a shorter solver.step" in told
+    reported = plants.run([start], stop_s=0.5, step_s=0.02, lanes=1).errors[0]
+    assert "steps of" in reported
+    assert "try a shorter solver.step" in reported
     taken, fastest, allowed = (
-        float(re.search(rf"{before} (\S+)", told)[1]) for before in ("steps of", "mode is at", "at most")
+        float(re.search(rf"{before} (\S+)", reported)[1]) for before in ("steps of", "mode is at", "at most")
     )
     assert taken == pytest.approx(0.02 / np.ceil(0.02 / step_s - 1e-9), rel=1e-3)
     assert fastest == pytest.approx(1001.0, rel=5e-3)
     assert allowed == pytest.approx(2.785 / 1001.0, rel=5e-3)
     beside = plants.run([start, start | {"solver.step": 0.0025}], stop_s=0.5, step_s=0.02)
-    assert beside.errors == [told, ""]
+    assert beside.errors == [reported, ""]
 
 
 def test_model_exchange_leaves_steps_to_its_importer(fmu: Path) -> None:

@@ -40,7 +40,7 @@ FMUS: dict[str, Callable[[Case, Path], Path]] = {
 }
 
 
-def check_nothing_is_found(fmu: Path) -> None:
+def check_is_clean(fmu: Path) -> None:
     report = check_file(fmu)
     assert [f.line() for f in report.findings] == []
     assert len(report.facts["topics"]) in (11, 22)  # eleven for each interface
@@ -52,12 +52,12 @@ def check_nothing_is_found(fmu: Path) -> None:
 
 @pytest.mark.parametrize("name", FMUS)
 def test_fmus(name: str, two_area: Case, cache: Path) -> None:
-    check_nothing_is_found(FMUS[name](two_area, cache))
+    check_is_clean(FMUS[name](two_area, cache))
 
 
 def test_container(by_hand: Controller, cache: Path, tmp_path: Path) -> None:
     loop = load_scenario("wide-area-damping")
-    check_nothing_is_found(write_container(loop, tmp_path / "loop.fmu", cache=cache, controller=by_hand))
+    check_is_clean(write_container(loop, tmp_path / "loop.fmu", cache=cache, controller=by_hand))
 
 
 @pytest.mark.parametrize("scenario", ["wide-area-damping", "lost-signal"])

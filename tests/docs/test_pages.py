@@ -62,7 +62,7 @@ def test_the_front_page_says_so_too() -> None:
 
 def test_every_command_that_writes_has_its_files_told() -> None:
     """A command with `--out` writes what `written.toml` tells, or a file that has a page of its own."""
-    told = {command["name"] for command in written.WRITTEN["command"]}
+    reported = {command["name"] for command in written.WRITTEN["command"]}
     other = {
         "explore",
         "ssp",
@@ -72,7 +72,7 @@ def test_every_command_that_writes_has_its_files_told() -> None:
         "new",
     }  # a page, by standards, a case
     writing = {name for name in COMMANDS if any("--out" in p.opts for p in load(name).params)}
-    assert writing - other <= told and told | other <= set(COMMANDS)
+    assert writing - other <= reported and reported | other <= set(COMMANDS)
 
 
 def test_every_kind_of_what_is_cached_is_told() -> None:
@@ -96,11 +96,11 @@ def test_every_file_and_key_that_is_written_is_told(tmp_path: Path) -> None:
             assert entry is not None, f"{name}: {path} is not told"
             if "keys" in entry:
                 for key in written.keys_of(file):
-                    told = written.told_by(key, entry["keys"])
-                    assert told is not None, f"{name}: {path}: {key} is not told"
-                    used.add(f"{entry['path']} {told}")
-        all_told = {f"{file['path']} {key}" for file in command["file"] for key in file.get("keys", {})}
-        assert all_told == used, f"{name}: told and not there: {all_told - used}"
+                    reported = written.covered_by(key, entry["keys"])
+                    assert reported is not None, f"{name}: {path}: {key} is not told"
+                    used.add(f"{entry['path']} {reported}")
+        documented = {f"{file['path']} {key}" for file in command["file"] for key in file.get("keys", {})}
+        assert documented == used, f"{name}: told and not there: {documented - used}"
 
 
 def test_no_table_has_an_empty_heading(made: dict[str, str]) -> None:

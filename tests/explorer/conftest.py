@@ -59,5 +59,5 @@ def runs_of_node(
     states = [preset["state"] for preset in data["presets"]]
     folder = tmp_path_factory.mktemp("runs")
     files = [folder / f"{k}.bin" for k in range(len(states))]
-    told = node([{"run": state, "file": str(file)} for state, file in zip(states, files, strict=True)])
-    return [(s, t["columns"], f.read_bytes()) for s, t, f in zip(states, told, files, strict=True)]
+    reported = node([{"run": state, "file": str(file)} for state, file in zip(states, files, strict=True)])
+    return [(s, t["columns"], f.read_bytes()) for s, t, f in zip(states, reported, files, strict=True)]

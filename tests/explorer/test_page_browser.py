@@ -146,18 +146,18 @@ def test_what_is_saved_is_what_is_shown(
 @pytest.mark.slow
 def test_six_clicks_tell_the_story(browser: Any, page: Path) -> None:
     with Tab(browser, page) as it:
-        told = []
+        reported = []
         for k in range(6):
             it.tab.click(f"#presets button:nth-child({k + 1})")
             it.settle()
-            told.append(it.tab.inner_text("#words"))
+            reported.append(it.tab.inner_text("#words"))
             assert it.tab.get_attribute(f"#presets button:nth-child({k + 1})", "aria-pressed") == "true"
             assert "all" in it.tab.inner_text("#planenote")
             assert "not all found" not in it.tab.inner_text("#planenote")
-        assert [text.split()[0] for text in told] == [
+        assert [text.split()[0] for text in reported] == [
             "Stable,", "Stable.", "Unstable.", "Stable.", "Stable.", "Out",
         ]  # fmt: skip
-        assert "every eigenvalue is damped" in told[5]
+        assert "every eigenvalue is damped" in reported[5]
         assert "without the controller the grid stays in step" in it.tab.inner_text("#numbers")
         it.tab.wait_for_timeout(400)
         link = it.tab.evaluate("location.hash")
@@ -165,7 +165,7 @@ def test_six_clicks_tell_the_story(browser: Any, page: Path) -> None:
         assert "ev=fault" in link
     with Tab(browser, page, link) as again:
         again.settle()
-        assert again.tab.inner_text("#words") == told[5]
+        assert again.tab.inner_text("#words") == reported[5]
 
 
 @pytest.mark.slow

@@ -151,12 +151,12 @@ def test_page_needs_nothing_from_anywhere(page: Path) -> None:
 
 def test_only_the_devices_of_the_grid_are_kept() -> None:
     header = devices_file().read_text(encoding="ascii")
-    ways = re.findall(r"case DEVICE_NUMBER_(\w+):", header)
-    assert len(set(ways)) > 10
+    cases = re.findall(r"case DEVICE_NUMBER_(\w+):", header)
+    assert len(set(cases)) > 10
     kept = re.findall(r"case DEVICE_NUMBER_(\w+):", with_devices(header, {"static", "steam"}))
     assert set(kept) == {"STATIC", "STEAM"}
-    assert len(kept) == ways.count("STATIC") + ways.count("STEAM")
-    lines = header.count("\n") - (len(ways) - len(kept))
+    assert len(kept) == cases.count("STATIC") + cases.count("STEAM")
+    lines = header.count("\n") - (len(cases) - len(kept))
     assert with_devices(header, {"static", "steam"}).count("\n") == lines
     with pytest.raises(ValueError, match="NOSUCH"):
         with_devices(header, {"nosuch"})

@@ -51,7 +51,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize(("folders", "step"), [(("binaries", "zig"), 1), (("zig",), 12)])
 def test_a_build(folders: tuple[str, ...], step: int, made: Path, tmp_path: Path) -> None:
     """With the compiled library in the cache, or what the compiler keeps only."""
-    whole, count, told = made.with_name("whole.fmu").read_bytes(), 0, 0
+    whole, count, reported = made.with_name("whole.fmu").read_bytes(), 0, 0
     for n in grid(step=step):
         cache, out, fault = tmp_path / f"{n}", tmp_path / f"{n}.fmu", Fault(n, errno.ENOSPC)
         for folder in (f for f in folders if (made / f).is_dir()):
@@ -61,10 +61,10 @@ def test_a_build(folders: tuple[str, ...], step: int, made: Path, tmp_path: Path
                 built(cache, out)
         except OSError as error:
             assert error.errno == errno.ENOSPC
-            told += 1
+            reported += 1
         except BuildError as error:
             assert "\n" not in str(error) and os.strerror(errno.ENOSPC) in str(error), error
-            told += 1
+            reported += 1
         if fault.count < n:
             break
         count += 1
@@ -72,7 +72,7 @@ def test_a_build(folders: tuple[str, ...], step: int, made: Path, tmp_path: Path
         assert not list(tmp_path.glob(".*.partial")), n
         assert built(cache, out) == whole, n
         assert damaged(cache) == [], n
-    assert count >= 4 and told >= count // 2
+    assert count >= 4 and reported >= count // 2
 
 
 def small_study(folder: Path) -> str:

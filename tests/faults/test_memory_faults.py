@@ -64,7 +64,7 @@ def outcome_without_memory(n: int, act: Callable[[], object]) -> str:
         return "crashed"
     code = os.WEXITSTATUS(status)
     assert code in (0, 1, 3), f"allocation {n} is told as an error of a file"
-    return {0: "clean", 1: "told", 3: "crashed"}[code]
+    return {0: "clean", 1: "reported", 3: "crashed"}[code]
 
 
 @LONG
@@ -86,8 +86,8 @@ def test_a_run(share: int, tmp_path: Path, cache: Path) -> None:
         assert {p.name for p in out.iterdir()} == {*whole, "run.json"}, n
         if clean == CLEAN:
             break
-    assert n > 10_000 and seen["told"] > (20_000 // SHARES if EVERY else 12)
-    assert seen["crashed"] < seen["told"] // 4
+    assert n > 10_000 and seen["reported"] > (20_000 // SHARES if EVERY else 12)
+    assert seen["crashed"] < seen["reported"] // 4
 
 
 @LONG
@@ -110,7 +110,7 @@ def test_a_run_with_a_case(share: int, tmp_path: Path, cache: Path) -> None:
             assert written(WITH_A_CASE, out, cache, OF_A_CASE) == whole, n
         if clean == 3:
             break
-    assert n > 1_000_000 and seen["told"] > 20 and seen["crashed"] < seen["told"] // 4
+    assert n > 1_000_000 and seen["reported"] > 20 and seen["crashed"] < seen["reported"] // 4
 
 
 @LONG
@@ -126,8 +126,8 @@ def test_the_folder_of_a_sweep(share: int, tmp_path: Path) -> None:
         finished(folder)
         if clean == CLEAN:
             break
-    assert n > 2000 and seen["told"] > (2000 // SHARES if EVERY else 12)
-    assert seen["crashed"] < seen["told"] // 4
+    assert n > 2000 and seen["reported"] > (2000 // SHARES if EVERY else 12)
+    assert seen["crashed"] < seen["reported"] // 4
 
 
 def test_the_command_line_tells_it(capsys: pytest.CaptureFixture[str]) -> None:

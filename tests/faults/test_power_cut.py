@@ -49,19 +49,19 @@ def test_before_every_fsync_of_a_sweep(seed: int, tmp_path: Path, monkeypatch: p
     chance, lost = random.Random(seed), 0
     for n in range(1, 100):
         folder, place = tmp_path / f"{n}", tmp_path / f"{n}-disk"
-        power, told = Power(n, Disk(place)), set[int]()
+        power, reported = Power(n, Disk(place)), set[int]()
         with monkeypatch.context() as patch, contextlib.suppress(Lost):
             patch.setattr(os, "fsync", power.fsync)
             with SweepStore(folder, PLAN) as store:
                 for runs in WORK:
                     store.append([outcome(run) for run in runs])
-                    told.update(runs)
+                    reported.update(runs)
         if power.count < n:
             break
         lost += cut(folder, place, chance)
         with SweepStore(folder, PLAN):  # sweeps away what is half there
             pass
-        assert told <= safe_rows(folder), n
+        assert reported <= safe_rows(folder), n
         finished(folder)
     assert 12 <= n < 99 and lost >= n // 2
 

@@ -98,7 +98,7 @@ def faults_at_operations(
 ) -> int:
     """Let every `step`-th file operation of a run fail in turn; return how many operations there are."""
     whole = written(table, folder / "whole", cache, names)
-    last, tried, told = 0, 0, 0
+    last, tried, reported = 0, 0, 0
     for n in grid(step=step):
         out, fault = folder / str(n), Fault(n, number)
         try:
@@ -106,10 +106,10 @@ def faults_at_operations(
                 written(table, out, cache)
         except OSError as error:  # told by the command line with the file's name where there is one
             assert error.errno == number
-            told += 1
+            reported += 1
         except InterareaError as error:  # of the result or, in the cache, of an artefact
             assert os.strerror(number) in str(error) and "\n" not in str(error)
-            told += 1
+            reported += 1
         if fault.count < n:
             break
         last, tried = n, tried + 1
@@ -118,5 +118,5 @@ def faults_at_operations(
             left.pop("run.json", None)
         assert left.items() <= whole.items(), n
         assert written(table, out, cache, names) == whole, n
-    assert told > tried // 2
+    assert reported > tried // 2
     return last

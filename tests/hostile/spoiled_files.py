@@ -102,8 +102,8 @@ def _without(text: str, at: int, length: int = 1) -> str:
     return text[:at] + text[at + length :]
 
 
-def _one_of(found: list[re.Match[str]], rng: random.Random) -> re.Match[str] | None:
-    return rng.choice(found) if found else None
+def _one_of(matches: list[re.Match[str]], rng: random.Random) -> re.Match[str] | None:
+    return rng.choice(matches) if matches else None
 
 
 def _character(pattern: str, change: Callable[[str, int], str]) -> Callable[[str, random.Random], str | None]:

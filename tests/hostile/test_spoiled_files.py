@@ -45,7 +45,7 @@ def content(thing: Any, key: str = "") -> Any:
     return f"{thing:.7g}" if isinstance(thing, float) else thing
 
 
-def told(good: Imported, now: Imported) -> bool:
+def reported(good: Imported, now: Imported) -> bool:
     """Whether the report says so: other counts, assumptions or remarks, a stored solution that is none.
 
     That the numbers of the solution are others by a little tells nobody anything.
@@ -65,8 +65,8 @@ def judged(folder: Path, one: Spoiled) -> str:
         now = read(folder, **{one.file: one.text})
     except CaseError as error:
         return "refused" if f"grid.{one.file}:" in str(error) else f"refused without a line: {error}"
-    if told(good, now):
-        return "told"
+    if reported(good, now):
+        return "reported"
     if content(good.case.model_dump(mode="json")) == content(now.case.model_dump(mode="json")):
         return "harmless"
     return "another number" if one.value else "silent"
@@ -88,7 +88,7 @@ def test_nothing_is_lost_in_silence(tmp_path: Path) -> None:
     assert counted["refused"] > 0.5 * len(FILES)
 
 
-ALLOWED = ("refused", "told", "harmless", "another number")
+ALLOWED = ("refused", "reported", "harmless", "another number")
 
 
 @pytest.mark.parametrize(

@@ -28,7 +28,7 @@ COMMANDS = {
 }
 
 
-def told(source: str, row: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> tuple[int, list[str]]:
+def printed(source: str, row: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> tuple[int, list[str]]:
     """Make a mistake in the present folder; return exit code and the lines on it."""
     if source == "python":
         with pytest.raises((ia.InterareaError, AttributeError)) as caught:
@@ -60,7 +60,7 @@ def test_the_wanted_line(
     source: str, row: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    code, lines = told(source, row, monkeypatch)
+    code, lines = printed(source, row, monkeypatch)
     assert code == 2
     assert row["says"] in [line.removeprefix("interarea: ") for line in lines], lines
     assert not (tmp_path / "out").exists()

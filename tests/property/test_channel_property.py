@@ -1,4 +1,4 @@
-"""Laws of a channel's packets: none appears or vanishes, none is younger than its way, steps change none."""
+"""Laws of a channel's packets: none appears or vanishes, none is younger than its path, steps change none."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ def channel(cache: Path) -> Path:
 
 
 @st.composite
-def ways(draw: st.DrawFn) -> dict[str, Any]:
+def channels(draw: st.DrawFn) -> dict[str, Any]:
     """Parameters of a channel with packets: any latency, jitter, loss, with or without a concentrator."""
-    way = {
+    path = {
         "reporting_interval": draw(st.sampled_from([0.01, 0.02, 0.035, 0.05])),
         "latency": draw(st.integers(0, 120)) * 1e-3,
         "jitter": draw(st.integers(0, 80)) * 1e-3,
@@ -35,13 +35,13 @@ def ways(draw: st.DrawFn) -> dict[str, Any]:
         "on_loss": draw(st.integers(0, 2)),
     }
     if draw(st.booleans()):
-        way |= {"loss_good": draw(st.floats(0.0, 1.0))}
+        path |= {"loss_good": draw(st.floats(0.0, 1.0))}
     else:
-        way |= {k: draw(st.floats(0.0, 1.0)) for k in ("loss_good", "loss_bad", "good_to_bad")}
-        way["bad_to_good"] = draw(st.floats(0.01, 1.0))
+        path |= {k: draw(st.floats(0.0, 1.0)) for k in ("loss_good", "loss_bad", "good_to_bad")}
+        path["bad_to_good"] = draw(st.floats(0.01, 1.0))
     if draw(st.booleans()):
-        way["pdc_wait"] = draw(st.integers(1, 150)) * 1e-3
-    return way
+        path["pdc_wait"] = draw(st.integers(1, 150)) * 1e-3
+    return path
 
 
 def cubic(t: float) -> tuple[float, ...]:
@@ -49,10 +49,10 @@ def cubic(t: float) -> tuple[float, ...]:
     return 0.5 + t * (0.3 + t * (-0.2 + 0.1 * t)), 0.3 + t * (-0.4 + 0.3 * t), -0.4 + 0.6 * t, 0.6
 
 
-def stepped(run: Runner, way: dict[str, Any], cuts: list[list[int]]) -> list[dict[str, float]]:
+def stepped(run: Runner, path: dict[str, Any], cuts: list[list[int]]) -> list[dict[str, float]]:
     """Step over the grid, each interval cut at some ms; outputs after each step."""
     run.fmu.reset()
-    run.start(way)
+    run.start(path)
     rows, now = [], 0
     for k, inside in enumerate(cuts):
         for end in [*(k * GRID_MS + c for c in sorted(set(inside))), (k + 1) * GRID_MS]:
@@ -69,22 +69,22 @@ cuts = st.lists(st.lists(st.integers(1, GRID_MS - 1), max_size=4), min_size=8, m
 
 
 @settings(max_examples=25)
-@given(ways(), cuts, cuts)
+@given(channels(), cuts, cuts)
 def test_packets_are_conserved_and_the_same_however_it_is_stepped(
-    channel: Path, way: dict[str, Any], one: list[list[int]], other: list[list[int]]
+    channel: Path, path: dict[str, Any], one: list[list[int]], other: list[list[int]]
 ) -> None:
     with Runner(channel) as run:
-        rows, again = stepped(run, way, one), stepped(run, way, other)
-    packets = packets_of(way, 0.0, rows[-1]["t"])
-    least = max(way["latency"], way.get("pdc_wait", 0.0))
+        rows, again = stepped(run, path, one), stepped(run, path, other)
+    packets = packets_of(path, 0.0, rows[-1]["t"])
+    least = max(path["latency"], path.get("pdc_wait", 0.0))
     before = dict.fromkeys(COUNTS, 0.0)
     for row in rows:
         sent = packets.stamp_s <= row["t"] + SLACK_S
-        on_their_way = int(np.sum(sent & (packets.due_s > row["t"] + SLACK_S)))
+        in_flight = int(np.sum(sent & (packets.due_s > row["t"] + SLACK_S)))
         assert row["sent"] == sent.sum()
-        assert row["sent"] == row["delivered"] + row["dropped"] + row["late"] + on_their_way
+        assert row["sent"] == row["delivered"] + row["dropped"] + row["late"] + in_flight
         assert all(row[n] >= before[n] for n in COUNTS)
-        # the age is that of what was received, which took its way; before that, the time since the start
+        # the age is that of what was received, which took its path; before that, the time since the start
         assert row["age"] >= (least if row["delivered"] else row["t"]) - 1e-9
         before = row
     ends = {round(1e3 * r["t"]): r for r in again}
@@ -98,19 +98,19 @@ def test_packets_are_conserved_and_the_same_however_it_is_stepped(
 
 
 @settings(max_examples=50)
-@given(ways(), st.integers(0, 400), st.integers(1, 400))
+@given(channels(), st.integers(0, 400), st.integers(1, 400))
 def test_a_packets_fate_does_not_depend_on_when_one_begins_to_look(
-    way: dict[str, Any], first: int, length: int
+    path: dict[str, Any], first: int, length: int
 ) -> None:
-    interval = way["reporting_interval"]
-    whole = packets_of(way, 0.0, 900 * interval)
-    part = packets_of(way, first * interval, (first + length) * interval)
-    if way.get("good_to_bad"):  # the chain begins anew there; what a packet takes does not
+    interval = path["reporting_interval"]
+    whole = packets_of(path, 0.0, 900 * interval)
+    part = packets_of(path, first * interval, (first + length) * interval)
+    if path.get("good_to_bad"):  # the chain begins anew there; what a packet takes does not
         np.testing.assert_array_equal(part.due_s, whole.due_s[first : first + length + 1])
     else:
         np.testing.assert_array_equal(part.due_s, whole.due_s[first : first + length + 1])
         np.testing.assert_array_equal(part.lost, whole.lost[first : first + length + 1])
-    wait = way.get("pdc_wait", 0.0)
+    wait = path.get("pdc_wait", 0.0)
     spent = whole.due_s - whole.stamp_s
-    assert np.all(spent >= (wait or way["latency"]) - 1e-12)
-    assert np.all(spent <= (wait or way["latency"] + way["jitter"]) + 1e-12)
+    assert np.all(spent >= (wait or path["latency"]) - 1e-12)
+    assert np.all(spent <= (wait or path["latency"] + path["jitter"]) + 1e-12)

@@ -160,17 +160,17 @@ def test_as_many_points_as_coefficients_give_the_polynomial(c: list[int], times:
 @st.composite
 def packets(draw: st.DrawFn) -> dict[str, Any]:
     interval = draw(st.sampled_from([10, 16, 20, 35, 40]))
-    way = {"latency_s": 1e-3 * draw(st.integers(0, 90)), "reporting_interval_s": 1e-3 * interval}
-    return way | ({"pdc_wait_s": 1e-3 * draw(st.integers(91, 150))} if draw(st.booleans()) else {})
+    path = {"latency_s": 1e-3 * draw(st.integers(0, 90)), "reporting_interval_s": 1e-3 * interval}
+    return path | ({"pdc_wait_s": 1e-3 * draw(st.integers(91, 150))} if draw(st.booleans()) else {})
 
 
 @settings(max_examples=40)
 @given(packets(), st.sampled_from([5, 10, 20, 30]), st.booleans())
 def test_the_ledger_of_a_channel_is_the_mean_age_of_what_is_held(
-    way: dict[str, Any], step_ms: int, exact: bool
+    path: dict[str, Any], step_ms: int, exact: bool
 ) -> None:
     """Latency, half an interval, the wait for the next communication point: they add up to the age seen."""
-    line = ChannelLine(**way)
+    line = ChannelLine(**path)
     interval = round(1e3 * line.reporting_interval_s)
     pattern = math.lcm(interval, step_ms)  # ms after which everything repeats
     stop = pattern * (2 + 1000 // pattern)
@@ -178,14 +178,14 @@ def test_the_ledger_of_a_channel_is_the_mean_age_of_what_is_held(
     clock = Clock(0, 1_000_000 * stop, 1_000_000 * step_ms, points=tuple(points))
     delays = line.delays(clock)
     total = delays.network_s + delays.reporting_s + delays.jitter_mean_s + delays.waiting_s
-    way_ms = round(1e3 * max(line.latency_s, line.pdc_wait_s))
+    path_ms = round(1e3 * max(line.latency_s, line.pdc_wait_s))
     begin = 1_000_000 * (stop - pattern)  # the last pattern, long after the start
     area = 0.0
     for s in clock.steps:
         if s.start >= begin:
-            held = (s.start - 1_000_000 * way_ms) // (1_000_000 * interval) * 1_000_000 * interval
+            held = (s.start - 1_000_000 * path_ms) // (1_000_000 * interval) * 1_000_000 * interval
             area += (s.end - s.start) * (0.5 * (s.start + s.end) - held)
     mean_s = area / (1_000_000 * pattern) / TICKS_PER_SECOND
     assert total == pytest.approx(mean_s, abs=1e-8)
-    assert delays.requested_s == delays.network_s == pytest.approx(1e-3 * way_ms, abs=0.5e-9)
+    assert delays.requested_s == delays.network_s == pytest.approx(1e-3 * path_ms, abs=0.5e-9)
     assert np.isfinite(total) and (not exact or delays.waiting_s < 1e-9)

@@ -187,8 +187,8 @@ def main() -> None:
             check(folder, expected)
             shutil.rmtree(folder)
             sweeps += 1
-            told = f"{sweeps} sweeps, {dict(total)}, {time.monotonic() - begin:.0f} s"
-            print(f"{told}: every row once, same bits", flush=True)
+            reported = f"{sweeps} sweeps, {dict(total)}, {time.monotonic() - begin:.0f} s"
+            print(f"{reported}: every row once, same bits", flush=True)
 
 
 if __name__ == "__main__":

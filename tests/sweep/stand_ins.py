@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from interarea.cosim.sweep.rows import Outcome, start_row
-from interarea.cosim.sweep.workers.worker import UnderWay
+from interarea.cosim.sweep.workers.worker import InProgress
 
 
 def crashing_work(
@@ -17,11 +17,11 @@ def crashing_work(
 ) -> None:
     """Stand in for a worker whose run 2 ends the process, and whose run 4 never comes back."""
     del parent_pipe, document, cache, scratch
-    under_way = UnderWay(shared)
+    in_progress = InProgress(shared)
     while (runs := pipe.recv()) is not None:
         for run in runs:
-            under_way.build(run)
-            under_way.start()
+            in_progress.build(run)
+            in_progress.start()
             if run == 2:
                 os.kill(os.getpid(), signal.SIGSEGV)
             if run == 4:
@@ -35,16 +35,16 @@ def together_work(
 ) -> None:
     """Stand in for a worker that has three runs under way at once; run 4 ends its process each time."""
     del parent_pipe, document, cache, scratch
-    under_way = UnderWay(shared)
+    in_progress = InProgress(shared)
     while (runs := pipe.recv()) is not None:
         for k in range(0, len(runs), 3):
             some = runs[k : k + 3]
-            under_way.build(*some)
-            under_way.start()
+            in_progress.build(*some)
+            in_progress.start()
             if 4 in some:
                 os.kill(os.getpid(), signal.SIGSEGV)
             pipe.send(("rows", [Outcome(start_row(run, {})) for run in some]))
-        under_way.build()
+        in_progress.build()
         pipe.send(("done",))
 
 

@@ -171,13 +171,13 @@ def test_margins_follow_case_and_controller(document: Any, cache: Path, tmp_path
     from interarea.cosim.sweep.parts import read_plan, read_rows
 
     plan, rows = read_plan(tmp_path / "s"), read_rows(tmp_path / "s")
-    told: list[float] = []
+    reported: list[float] = []
     with Runner(plan, cache, tmp_path) as runner:
-        result = margins_of(plan, rows, runner, workers=2, progress=told.append)
+        result = margins_of(plan, rows, runner, workers=2, progress=reported.append)
         search = Search(low=0.0, high=2.0, tolerance=1e-3, scan=21)
         alone = [runner.edge(m.values, "latency", search)[:2] for m in result]
     assert [(m.stable, m.unstable) for m in result] == alone  # the bits of one process
-    assert told[-1] == 1.0 and told == sorted(told)
+    assert reported[-1] == 1.0 and reported == sorted(reported)
     assert [(m.values["tie"], m.values["controller"]) for m in result] == [
         (0.0, "ftc"), (0.0, "wdc"), (100.0, "ftc"), (100.0, "wdc"),
     ]  # fmt: skip

@@ -66,7 +66,7 @@ SCREENING = Screening(CASE, buses=(8, 5), clearing_s=0.1, stop_s=3.0, step_s=0.0
 
 
 @pytest.fixture(scope="module")
-def found(tmp_path_factory: pytest.TempPathFactory, cache: Path) -> tuple[list[Screened], Path]:
+def screening(tmp_path_factory: pytest.TempPathFactory, cache: Path) -> tuple[list[Screened], Path]:
     folder = tmp_path_factory.mktemp("screen")
     return run_screening(SCREENING, folder, clearing=True, workers=1, cache=cache), folder
 
@@ -80,33 +80,33 @@ def alone(bus: int, clearing_s: float, cache: Path) -> float:
     return float(np.degrees(np.ptp(np.array(angles), axis=0).max()))
 
 
-def test_a_screening_is_its_single_runs(found: tuple[list[Screened], Path], cache: Path) -> None:
-    assert sorted(one.place for one in found[0]) == ["5", "8"]
-    for one in found[0]:
+def test_a_screening_is_its_single_runs(screening: tuple[list[Screened], Path], cache: Path) -> None:
+    assert sorted(one.place for one in screening[0]) == ["5", "8"]
+    for one in screening[0]:
         assert one.verdict == "kept"
         assert one.angle_deg == pytest.approx(alone(int(one.place), 0.1, cache), rel=1e-9)
 
 
 def test_beyond_the_critical_clearing_time_synchronism_goes(
-    found: tuple[list[Screened], Path], cache: Path
+    screening: tuple[list[Screened], Path], cache: Path
 ) -> None:
-    worst = found[0][0]
+    worst = screening[0][0]
     assert worst.critical_s is not None and 0.1 < worst.critical_s < 0.8
     assert alone(int(worst.place), worst.critical_s, cache) < 180.0
     assert alone(int(worst.place), worst.critical_s + SCREENING.tolerance_s, cache) >= 180.0
 
 
 def test_worst_comes_first_and_nothing_runs_twice(
-    found: tuple[list[Screened], Path], cache: Path, monkeypatch: pytest.MonkeyPatch
+    screening: tuple[list[Screened], Path], cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    rows, folder = found
+    rows, folder = screening
     assert rows[0].critical_s <= rows[1].critical_s
     monkeypatch.setattr("interarea.cosim.sweep.front.local_outcomes", None)  # nothing is left to do
     assert run_screening(SCREENING, folder, clearing=True, workers=1, cache=cache) == rows
 
 
-def test_page_and_files_hold_what_was_found(found: tuple[list[Screened], Path]) -> None:
-    rows, folder = found
+def test_page_and_files_hold_what_was_found(screening: tuple[list[Screened], Path]) -> None:
+    rows, folder = screening
     page = write_screening(SCREENING, rows, folder).read_text(encoding="utf-8")
     table = page[page.index("Worst first") :]
     first, second = (table.index(f'<td class="t">{one.place}</td>') for one in rows)
@@ -118,7 +118,7 @@ def test_page_and_files_hold_what_was_found(found: tuple[list[Screened], Path]) 
     assert [float(line["angle_deg"]) for line in lines] == [one.angle_deg for one in rows]
 
 
-def test_order_lost_failed_kept(found: tuple[list[Screened], Path]) -> None:
+def test_order_lost_failed_kept(screening: tuple[list[Screened], Path]) -> None:
     pd = pytest.importorskip("pandas")
     kept = {"status": "ok", "failure": None, "reason": None, "voltage_at": "bus1"}
     kept |= dict.fromkeys(("voltage_pu", "nadir_hz", "zenith_hz"), 1.0)

@@ -126,7 +126,7 @@ def test_only_what_acts_later_is_shared(document: Any) -> None:
 
 
 actions = st.lists(st.tuples(st.sampled_from([1.0, 2.0, 3.0, 4.0]), st.sampled_from("abc")), max_size=4).map(
-    lambda found: tuple(sorted(found))
+    lambda runs: tuple(sorted(runs))
 )
 
 

@@ -15,8 +15,8 @@ from interarea.cosim.sweep.plan import plan_sweep
 from interarea.cosim.sweep.runner import Runner
 from interarea.cosim.sweep.spec import load_sweep
 
-WAYS = [{"signal": "G2_dw", "latency_s": 0.04}, {"signal": "G4_dw", "latency_s": 0.09, "loss": 0.2}]
-PDC = {"pdc": {"wait_s": 0.1, "seed": 5, "signals": WAYS}}
+SIGNALS = [{"signal": "G2_dw", "latency_s": 0.04}, {"signal": "G4_dw", "latency_s": 0.09, "loss": 0.2}]
+PDC = {"pdc": {"wait_s": 0.1, "seed": 5, "signals": SIGNALS}}
 ALIGNED = {"channels": {}, "concentrators": PDC, "stop_s": 2.0}
 
 
@@ -44,9 +44,9 @@ def test_keys_of_a_concentrator_do_what_the_same_keys_of_a_scenario_do(
 
 def test_start_values_of_an_own_fmu_reach_it(document: Any, cache: Path, tmp_path: Path) -> None:
     """An FMU that ends its process at 0.3 s is told so by the sweep: only the run that asks for it fails."""
-    mine = {"file": str(misbehaving_fmu(tmp_path)), "isolate": True}
+    own = {"file": str(misbehaving_fmu(tmp_path)), "isolate": True}
     scenario = {
-        "fmus": {"mine": mine},
+        "fmus": {"mine": own},
         "connections": [["plant.G1_dw", "mine.u"]],
         "event": [],
         "stop_s": 0.6,

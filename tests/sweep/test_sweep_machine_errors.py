@@ -29,8 +29,8 @@ def wrapped(error: BaseException) -> StepError:
                 raise RuntimeError("cannot be opened") from first
         except RuntimeError as second:
             raise StepError("no instance", instance="plant", call="fmi2Instantiate", time_s=None) from second
-    except StepError as found:
-        return found
+    except StepError as error:
+        return error
 
 
 @pytest.mark.parametrize("name", ["ENOSPC", "EDQUOT", "EFBIG", "EMFILE", "EIO", "ENOMEM"])

@@ -41,10 +41,10 @@ def test_a_transformer_with_ratios_at_both_sides_is_one_with_its_ratio_at_the_fi
     tables["transformers"][1] = list(row.values())
     branch = next(b for b in case_from("ratios", tables).branches if b.name == row["name"])
     y = 1.0 / complex(row["R"], row["X"])
-    mine = 1.0 / complex(branch.r, branch.x)
-    assert mine / branch.tap**2 == pytest.approx(f * f * y)
-    assert mine / branch.tap == pytest.approx(f * t * y)
-    assert mine == pytest.approx(t * t * y)
+    own = 1.0 / complex(branch.r, branch.x)
+    assert own / branch.tap**2 == pytest.approx(f * f * y)
+    assert own / branch.tap == pytest.approx(f * t * y)
+    assert own == pytest.approx(t * t * y)
 
 
 @pytest.mark.parametrize(

@@ -26,7 +26,7 @@ from interarea.models.files import new_folder
 from ...errors import SweepError
 from ..plan import SweepPlan
 from ..rows import Outcome, failed_row
-from .worker import STATUS_SIZE, UnderWay, work
+from .worker import STATUS_SIZE, InProgress, work
 
 _KILLED, _CRASHED = 5, 2  # deaths with the same run under way before it counts as the cause
 _MOST_IDLE_EXITS = 3  # workers that end before their first run
@@ -58,7 +58,7 @@ class _Worker:
             finally:
                 theirs.close()
                 their_end.close()
-        self.under_way = UnderWay(shared)
+        self.in_progress = InProgress(shared)
         self.todo: dict[int, None] = {}
         self.served = False
         self.overdue: list[int] = []  #: the runs that it was killed for
@@ -129,8 +129,8 @@ class _Pool:
         for pipe in wait(list(pipes), timeout=0.5):
             self._listen(pipes[pipe], result)
         for worker in self.workers:
-            if worker.under_way.seconds > self.limit_s and not worker.overdue:
-                worker.overdue = worker.under_way.runs
+            if worker.in_progress.seconds > self.limit_s and not worker.overdue:
+                worker.overdue = worker.in_progress.runs
                 worker.kill()
         return result
 
@@ -164,16 +164,16 @@ class _Pool:
         """
         worker.process.join()
         code = worker.process.exitcode
-        under_way = [run for run in worker.under_way.runs if run in worker.todo]
-        if len(under_way) > 1:
-            self.alone.extend(under_way)
-            for run in under_way:
+        in_progress = [run for run in worker.in_progress.runs if run in worker.todo]
+        if len(in_progress) > 1:
+            self.alone.extend(in_progress)
+            for run in in_progress:
                 del worker.todo[run]
-        elif under_way and worker.overdue == under_way:
-            del worker.todo[under_way[0]]
-            result.append(self._failed(under_way[0], "time limit", "did not come back from an FMU's call"))
-        elif under_way:
-            run = under_way[0]
+        elif in_progress and worker.overdue == in_progress:
+            del worker.todo[in_progress[0]]
+            result.append(self._failed(in_progress[0], "time limit", "did not come back from an FMU's call"))
+        elif in_progress:
+            run = in_progress[0]
             killed = code == -signal.SIGKILL if hasattr(signal, "SIGKILL") else False
             self.deaths[run, killed] += 1
             if self.deaths[run, killed] >= (_KILLED if killed else _CRASHED):

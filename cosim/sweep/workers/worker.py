@@ -26,7 +26,7 @@ _TOGETHER = 64  # runs under way at once
 STATUS_SIZE = 2 + _TOGETHER
 
 
-class UnderWay:
+class InProgress:
     """The runs under way and since when they compute, in `STATUS_SIZE` doubles that two processes share."""
 
     def __init__(self, shared: Any) -> None:
@@ -80,7 +80,7 @@ def work(
         gc.freeze()  # what is loaded stays: the collector need not look through it again and again
         try:
             while (runs := pipe.recv()) is not None:
-                _serve(pipe, runner, runs, UnderWay(shared))
+                _serve(pipe, runner, runs, InProgress(shared))
                 pipe.send(("done",))
         except EOFError:
             return
@@ -90,17 +90,17 @@ def work(
             pipe.send(("error", error.errno, f"{error.filename or scratch}: {error.strerror or error}"))
 
 
-def _serve(pipe: Connection, runner: Any, runs: Sequence[int], under_way: UnderWay) -> None:
+def _serve(pipe: Connection, runner: Any, runs: Sequence[int], in_progress: InProgress) -> None:
     rows: list[Any] = []
     sent = time.monotonic()
-    runner.on_build = under_way.build
-    runner.on_start = under_way.start
+    runner.on_build = in_progress.build
+    runner.on_start = in_progress.start
     for outcome in runner.outcomes(runs):
         rows.append(outcome)
         if len(rows) >= _SEND_ROWS or time.monotonic() - sent > _SEND_S:
             pipe.send(("rows", rows))
             rows, sent = [], time.monotonic()
-    under_way.build()
+    in_progress.build()
     if rows:
         pipe.send(("rows", rows))
 

@@ -99,7 +99,7 @@ class Iteration:
             lowest = min(float(w[0]) for w in spectra)
             largest = max(float(np.abs(w).max()) for w in spectra)
             xi = max(-5.0 * lowest, 0.01 * largest)
-            factors = _all_found([cholesky(M + xi * one) for M, one in zip(least, identities, strict=True)])
+            factors = _all_factors([cholesky(M + xi * one) for M, one in zip(least, identities, strict=True)])
             if xi > 0.0 and factors is not None:
                 return factors
         starts = []
@@ -287,7 +287,7 @@ class Iteration:
                 S = [C + F for C, F in zip(self.C, self.affine.apply(y), strict=True)]
             else:
                 S = [A + ap * B for A, B in zip(self.S, dS, strict=True)]
-            Ls = _all_found([cholesky(M) for M in S])
+            Ls = _all_factors([cholesky(M) for M in S])
             if Ls is not None:
                 self.y, self.S, self.exact, self.Ls = y, S, full, Ls
                 break
@@ -297,7 +297,7 @@ class Iteration:
         if not self.exact:
             self._close_residual()
         for _ in range(8):
-            Fz = _all_found([s.updated_factor(ad, d) for s, d in zip(scalings, dz, strict=True)])
+            Fz = _all_factors([s.updated_factor(ad, d) for s, d in zip(scalings, dz, strict=True)])
             if Fz is not None:
                 self.Fz = Fz
                 break
@@ -317,7 +317,7 @@ class Iteration:
     def _use_exact(self) -> None:
         """Let S be C + F(y) from now on if that is positive definite."""
         S = [C + F for C, F in zip(self.C, self.affine.apply(self.y), strict=True)]
-        Ls = _all_found([cholesky(M) for M in S])
+        Ls = _all_factors([cholesky(M) for M in S])
         if Ls is not None:
             self.S, self.exact, self.Ls = S, True, Ls
 
@@ -413,7 +413,7 @@ class Iteration:
         )
 
 
-def _all_found(factors: list[Matrix | None]) -> list[Matrix] | None:
+def _all_factors(factors: list[Matrix | None]) -> list[Matrix] | None:
     """Return the factors where there is one for each matrix."""
     rows = [F for F in factors if F is not None]
     return rows if len(rows) == len(factors) else None

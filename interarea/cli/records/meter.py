@@ -84,13 +84,13 @@ def _rows(swing: Swing, unit: str, case: str | None) -> list[tuple[str, ...]]:
     )
     top = sorted(swing.shape.items(), key=lambda item: -abs(item[1]))[:_SHOWN]
     shape = ", ".join(f"{name} {abs(z):.2f} {round(degrees(phase(z))):+d}°" for name, z in top)
-    told = (f"{swing.amplitude:.3g} {unit}", mode, f"{shape}; {swing.why}")
+    details = (f"{swing.amplitude:.3g} {unit}", mode, f"{shape}; {swing.why}")
     if not swing.estimates:
-        return [(f"{swing.frequency_hz:.4f}", swing.kind, "-", "", *told)]
+        return [(f"{swing.frequency_hz:.4f}", swing.kind, "-", "", *details)]
     rows: list[tuple[str, ...]] = []
     for k, e in enumerate(swing.estimates):
         low, high = e.damping_interval
         ratio = f"{e.damping_ratio:.4f} ({low:.4f} to {high:.4f})"
-        rest = told if k == 0 else ("", "", "")
+        rest = details if k == 0 else ("", "", "")
         rows.append((f"{e.frequency_hz:.4f}", swing.kind if k == 0 else "", ratio, e.method, *rest))
     return rows

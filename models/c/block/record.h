@@ -1,7 +1,7 @@
 #ifndef INTERAREA_RECORD_H
 #define INTERAREA_RECORD_H
 /* A read-only set of named arrays in one piece of memory: the data of a block
- * as written by models/record.py. Little-endian, 8-byte aligned:
+ * as written by models/blocks/binary_table.py. Little-endian, 8-byte aligned:
  *   8 bytes  magic "IAREC001"
  *   u64      total size in bytes, this header included
  *   u64      CRC-32 (zlib) of every byte from offset 24 to the end

@@ -11,7 +11,7 @@
  * Weights and m stay in [0, 1] and the weights sum to 1, so the loop is at every
  * instant a convex combination of the loops (controller i, signals in set S):
  * one Lyapunov function for those proves stability for every sequence of losses
- * and every fade (design/switching.py).
+ * and every fade (design/certificates/switching.py).
  *
  * A signal is no longer trusted when its flag has been down for loss_time, and
  * trusted again when it has been up for return_time. The set of trusted signals

@@ -49,7 +49,7 @@ def test_what_runs_apart_gives_what_it_gives_here(
     code, _, said = interarea("run", file, "--out", tmp_path / "here")
     assert code == 0 and "not built here" not in said
     for name in ("trajectory.csv", "trajectory.parquet"):
-        apart, here = (tmp_path / way / name for way in ("apart", "here"))
+        apart, here = (tmp_path / path / name for path in ("apart", "here"))
         assert apart.exists() == here.exists()
         assert not here.exists() or apart.read_bytes() == here.read_bytes()
 

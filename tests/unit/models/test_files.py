@@ -67,8 +67,8 @@ def test_what_a_killed_process_left_goes_at_the_next_start(tmp_path: Path) -> No
     process.wait()
     process.stdout.close()
     assert left.is_dir()
-    mine = new_folder(tmp_path)
-    assert mine.is_dir() and not left.parent.exists()
+    own = new_folder(tmp_path)
+    assert own.is_dir() and not left.parent.exists()
 
 
 def test_a_folder_that_is_about_to_be_locked_is_left_alone(tmp_path: Path) -> None:

@@ -1,7 +1,7 @@
 #ifndef INTERAREA_ELEMENTS_H
 #define INTERAREA_ELEMENTS_H
 #include "notes.h"
-/* All that the generated device code calls (devices.h); models/devices/elements.py has
+/* All that the generated device code calls (devices.h); models/devices/language/elements.py has
  * the same equations for Python. Non-windup limits, moving ones too, mean here:
  *
  * - the output never shows a state beyond its limit;

@@ -8,7 +8,7 @@
 #include "../../block/block.h"
 #include "scalar.h"
 
-/* Rows of the device tables; models/plant_block.py writes them in this order. */
+/* Rows of the device tables; models/blocks/plant.py writes them in this order. */
 enum {  /* machine, per unit on the machine base */
     M_RATIO,            /* machine base / system base                   */
     M_RA, M_XL, M_XD, M_XD1, M_XD2, M_XQ, M_XQ1, M_XQ2,

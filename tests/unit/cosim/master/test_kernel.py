@@ -310,17 +310,17 @@ def test_another_thread_can_cancel_and_the_interpreter_lock_is_free(long_run: Ma
 
 
 def test_progress_is_told_and_may_cancel(long_run: Master) -> None:
-    told: list[tuple[float, float]] = []
+    reported: list[tuple[float, float]] = []
 
     def progress(now_s: float, stop_s: float) -> None:
-        told.append((now_s, stop_s))
-        if len(told) == 3:
+        reported.append((now_s, stop_s))
+        if len(reported) == 3:
             long_run.cancel()
 
     run = long_run.run(progress=progress)
-    assert [t for t, _ in told] == sorted({t for t, _ in told}) and len(told) == 3
-    assert run.time_s[-1] == pytest.approx(told[-1][0], abs=0.01)
-    assert told[-1][1] == 1000.0
+    assert [t for t, _ in reported] == sorted({t for t, _ in reported}) and len(reported) == 3
+    assert run.time_s[-1] == pytest.approx(reported[-1][0], abs=0.01)
+    assert reported[-1][1] == 1000.0
 
 
 # -- what is left to Python ---------------------------------------------------------------

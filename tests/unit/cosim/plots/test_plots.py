@@ -134,9 +134,9 @@ def test_a_font_that_cannot_be_read_is_told(
     figure, _ = plots.new_figure(1, 1)
     monkeypatch.setattr(Figure, "savefig", savefig)
     hook = sys.unraisablehook
-    with pytest.raises(type(error)) as told:
+    with pytest.raises(type(error)) as reported:
         plots.save_figure(figure, tmp_path / "figure.svg")
-    assert told.value is error and not list(tmp_path.iterdir()) and sys.unraisablehook is hook
+    assert reported.value is error and not list(tmp_path.iterdir()) and sys.unraisablehook is hook
     monkeypatch.setattr(Figure, "savefig", draw)
     assert plots.save_figure(figure, tmp_path / "figure.svg").stat().st_size > 1000
 

@@ -34,29 +34,29 @@ def scenario(tmp_path: Path, hand_controller: Controller) -> Scenario:
 
 
 def test_each_is_the_run_that_it_is_alone(scenario: Scenario, cache: Path) -> None:
-    told: list[tuple[str, float]] = []
-    none, mine = compare_controllers(
-        scenario, ["none", "mine.json"], cache=cache, progress=lambda *now: told.append(now)
+    reported: list[tuple[str, float]] = []
+    none, own = compare_controllers(
+        scenario, ["none", "mine.json"], cache=cache, progress=lambda *now: reported.append(now)
     )
     alone = run_scenario(scenario.model_copy(update={"controller": "mine.json"}))
-    assert np.array_equal(mine.run["plant.G2_dw"], alone["plant.G2_dw"])
-    assert mine.row()["least_damping_ratio"] == alone.metrics.least_damping_ratio
+    assert np.array_equal(own.run["plant.G2_dw"], alone["plant.G2_dw"])
+    assert own.row()["least_damping_ratio"] == alone.metrics.least_damping_ratio
     assert none.row()["inter_area_damping_ratio"] == pytest.approx(0.0806, abs=0.001)  # of the thesis' plant
-    assert {name for name, _ in told} == {"none", "mine"} and told[-1] == ("mine", 1.0)
+    assert {name for name, _ in reported} == {"none", "mine"} and reported[-1] == ("mine", 1.0)
 
 
 def test_roots_over_latency_are_those_of_the_loop_with_that_latency(scenario: Scenario, cache: Path) -> None:
-    (mine,) = compare_controllers(scenario, ["mine.json"], cache=cache)
+    (own,) = compare_controllers(scenario, ["mine.json"], cache=cache)
     at_s = LATENCIES_S[8]
     late = {n: c.model_copy(update={"latency_s": at_s}) for n, c in scenario.channels.items()}
     single = scenario.model_copy(update={"channels": late, "controller": "mine.json"})
     wanted = system_of(single, cache=cache).linear_swings()
-    result = mine.locus[at_s]
+    result = own.locus[at_s]
     assert isinstance(wanted, LoopModes) and isinstance(result, LoopModes)
     assert result.least == pytest.approx(wanted.least, rel=1e-9)
-    rows = [r for r in mine.roots() if r["latency_s"] == at_s]
+    rows = [r for r in own.roots() if r["latency_s"] == at_s]
     assert min(r["damping_ratio"] for r in rows) == pytest.approx(-wanted.least.real / abs(wanted.least))  # type: ignore[union-attr]
-    least = [m.least for m in mine.locus.values() if isinstance(m, LoopModes) and m.least is not None]
+    least = [m.least for m in own.locus.values() if isinstance(m, LoopModes) and m.least is not None]
     assert len({round(z.real, 6) for z in least}) == len(LATENCIES_S)  # latency moves them
 
 
@@ -75,8 +75,8 @@ def test_the_command_writes_one_page(interarea, tmp_path: Path, scenario: Scenar
     text = 'case = "two-area-thesis"\nstop_s = 3.0\n[channels.a]\nsignal = "G2_dw"\nlatency_s = 0.1\n'
     event = '[[event]]\nkind = "vref_pulse"\nmachine = "G1"\nsize_pu = 0.05\nstart_s = 0.5\nend_s = 0.7\n'
     file.write_text(text + event, encoding="utf-8")
-    mine = tmp_path / "mine.json"
-    code, out, err = interarea("compare", "none", mine, "--scenario", file, "--out", tmp_path / "o", "--json")
+    own = tmp_path / "mine.json"
+    code, out, err = interarea("compare", "none", own, "--scenario", file, "--out", tmp_path / "o", "--json")
     assert code == 0, err
     rows = json.loads(out)["controllers"]
     assert [r["controller"] for r in rows] == ["none", "mine"]

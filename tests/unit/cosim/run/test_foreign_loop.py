@@ -37,10 +37,10 @@ def ours(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return build_fmu(block, tmp_path_factory.mktemp("ours"))
 
 
-def loop(file: Path, way: tuple[str, ...], step_s: float, **options: Any) -> System:
+def loop(file: Path, path: tuple[str, ...], step_s: float, **options: Any) -> System:
     system = System(stop_s=3.0, step_s=step_s).plant("two-area-thesis").fmu("damper", file, **options)
     system.channel("remote", latency_s=0.1)
-    system.connect("plant.G4_dw", *way, "damper.u").connect("damper.y", "plant.G4_vs")
+    system.connect("plant.G4_dw", *path, "damper.u").connect("damper.y", "plant.G4_vs")
     return system.event("vref_pulse", **PULSE)
 
 
@@ -50,13 +50,13 @@ def dw24(system: System) -> np.ndarray:
     return (run["plant.G2_dw"] - run["plant.G4_dw"])[grid]
 
 
-@pytest.mark.parametrize("way", [("remote",), ()])
-def test_it_makes_the_loop_that_our_own_fmu_makes(damper: Path, ours: Path, way: tuple[str, ...]) -> None:
+@pytest.mark.parametrize("path", [("remote",), ()])
+def test_it_makes_the_loop_that_our_own_fmu_makes(damper: Path, ours: Path, path: tuple[str, ...]) -> None:
     """It holds its input over parts of a step: second order in the step, towards the run of our FMU."""
-    exact = dw24(loop(ours, way, 0.005))
+    exact = dw24(loop(ours, path, 0.005))
     peak = np.max(np.abs(exact))
     errors = [
-        np.max(np.abs(dw24(loop(damper, way, h, gain=GAIN, T=LAG_S)) - exact)) / peak for h in (0.02, 0.01)
+        np.max(np.abs(dw24(loop(damper, path, h, gain=GAIN, T=LAG_S)) - exact)) / peak for h in (0.02, 0.01)
     ]
     assert errors[1] <= 1e-3
     assert errors[0] / errors[1] >= 3.0

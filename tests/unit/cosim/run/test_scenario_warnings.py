@@ -82,13 +82,13 @@ def test_a_run_warns_and_keeps_the_lines(hand_controller: Controller, tmp_path: 
 
 def test_no_two_channels_lose_the_same_packets(hand_controller: Controller) -> None:
     """Without a seed each channel draws from one made of its name, which the ledger says."""
-    ways = {n: {"signal": s, **PACKETS} for n, s in (("remote", "G2_dw"), ("local", "G4_dw"))}
-    run = run_scenario(document(channels=ways), controller=hand_controller)
-    lost = [run[f"{name}.dropped"] for name in ways]
+    paths = {n: {"signal": s, **PACKETS} for n, s in (("remote", "G2_dw"), ("local", "G4_dw"))}
+    run = run_scenario(document(channels=paths), controller=hand_controller)
+    lost = [run[f"{name}.dropped"] for name in paths]
     assert lost[0][-1] > 5 < lost[1][-1] and not np.array_equal(lost[0], lost[1])
     seed = derived_seed(0, "remote")
     assert run.ledger["remote.u"].note.endswith(f"seed {seed}, made of its name")
-    given = {n: way | {"seed": 7} for n, way in ways.items()}
+    given = {n: path | {"seed": 7} for n, path in paths.items()}
     same = run_scenario(document(channels=given), controller=hand_controller)
     assert np.array_equal(same["remote.dropped"], same["local.dropped"])
     assert same.ledger["remote.u"].note.endswith("seed 7")

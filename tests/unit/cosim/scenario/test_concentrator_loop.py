@@ -21,13 +21,13 @@ from interarea.cosim.sweep.front import run_sweep
 from interarea.cosim.sweep.parts import read_rows
 from interarea.design.controllers.controller import Controller
 
-WAYS = [{"latency_s": 0.03}, {"latency_s": 0.08}]
+SIGNALS = [{"latency_s": 0.03}, {"latency_s": 0.08}]
 PULSE = {"machine": "G1", "size_pu": 0.02, "start_s": 0.5, "end_s": 0.7}
 
 
-def grid(controller: Controller, ways: list[dict[str, Any]], **keys: Any) -> System:
+def grid(controller: Controller, paths: list[dict[str, Any]], **keys: Any) -> System:
     system = System(stop_s=2.0, inputs=keys.pop("inputs", "hermite"), step_s=0.01)
-    system.plant("two-area-thesis").controller(controller).concentrator("pdc", ways, **keys)
+    system.plant("two-area-thesis").controller(controller).concentrator("pdc", paths, **keys)
     for i, signal in enumerate(("G2_dw", "G4_dw"), start=1):
         system.connect(f"plant.{signal}", f"pdc.u{i}").connect(f"pdc.y{i}", f"controller.{signal}")
     return system.connect("controller.G4_vs", "plant.G4_vs").event("vref_pulse", **PULSE)
@@ -35,7 +35,7 @@ def grid(controller: Controller, ways: list[dict[str, Any]], **keys: Any) -> Sys
 
 def test_signals_arrive_aligned_as_late_as_the_slowest(hand_controller: Controller) -> None:
     """80 and 20 ms make 100: y at 20 ms stamps is the plant's signal of 100 ms ago, for both."""
-    run = grid(hand_controller, WAYS, latency_s=0.02).run()
+    run = grid(hand_controller, SIGNALS, latency_s=0.02).run()
     t = run["time_s"]
     stamps = np.flatnonzero(np.isclose(t * 50, np.round(t * 50), atol=1e-9) & (t > 0.2))
     at = np.searchsorted(t, t[stamps] - 0.1 - 1e-9)
@@ -51,7 +51,7 @@ def test_signals_arrive_aligned_as_late_as_the_slowest(hand_controller: Controll
 @pytest.mark.parametrize("inputs", INPUTS)
 def test_its_latency_is_the_stated_one(hand_controller: Controller, inputs: str) -> None:
     for keys in ({}, {"wait_s": 0.05}, {"relative": True, "wait_s": 0.02, "latency_s": 0.005}):
-        test = grid(hand_controller, WAYS, inputs=inputs, **keys).self_test()
+        test = grid(hand_controller, SIGNALS, inputs=inputs, **keys).self_test()
         late = [row for row in test.rows if not row.agrees]
         # behind the wait the slower signal never is in a set: nothing of it comes out
         assert all(str(r.connection.target) in ("pdc.u2", "controller.G4_dw") for r in late), str(test)
@@ -59,8 +59,8 @@ def test_its_latency_is_the_stated_one(hand_controller: Controller, inputs: str)
 
 
 def test_a_lost_signal_is_missing_while_the_other_goes_on(hand_controller: Controller) -> None:
-    ways = [{"latency_s": 0.03, "lost_s": (1.0, 1.5)}, {"latency_s": 0.05}]
-    run = grid(hand_controller, ways, wait_s=0.1).run()
+    paths = [{"latency_s": 0.03, "lost_s": (1.0, 1.5)}, {"latency_s": 0.05}]
+    run = grid(hand_controller, paths, wait_s=0.1).run()
     t, first, second = run["time_s"], run["pdc.valid1"], run["pdc.valid2"]
     assert second.all()
     # complete sets come after 50 ms; the first without the signal waits 100 ms and holds up what follows
@@ -79,7 +79,7 @@ def test_a_lost_signal_is_missing_while_the_other_goes_on(hand_controller: Contr
 )
 def test_mistakes_are_refused(keys: dict[str, Any], says: str) -> None:
     with pytest.raises(ScenarioError, match=says):
-        System(stop_s=1.0).concentrator("pdc", WAYS, **keys)
+        System(stop_s=1.0).concentrator("pdc", SIGNALS, **keys)
     with pytest.raises(ScenarioError, match="did you mean 'latency_s'"):
         System(stop_s=1.0).concentrator("pdc", [{"latency": 0.1}])
 
@@ -117,7 +117,7 @@ def file(hand_controller: Controller, tmp_path: Path) -> Path:
 
 def test_a_scenario_file_names_it(hand_controller: Controller, file: Path, cache: Path) -> None:
     here = run_scenario(file, cache=cache)
-    there = grid(hand_controller, WAYS, wait_s=0.1, latency_s=0.02).run()
+    there = grid(hand_controller, SIGNALS, wait_s=0.1, latency_s=0.02).run()
     for column in ("plant.G2_dw", "controller.G4_vs", "pdc.y1", "pdc.y2", "pdc.age"):
         np.testing.assert_array_equal(here[column], there[column])
     text = here.explain()

@@ -112,8 +112,8 @@ def test_lost_packets_act_in_the_mean_as_the_recursion_of_the_mean_does(loss: fl
     K = control.ss(
         [[-1e4]], [[1e4]], [[-gain]], [[0.0]], inputs=["y"], outputs=["u"]
     )  # a gain, but for 0.1 ms
-    way = DelayedPath(2 * interval, interval, loss, "hold" if on_loss == "hold" else "zero")
-    result = LoopFunction(plant, K).modes({"y": way}, {})
+    path = DelayedPath(2 * interval, interval, loss, "hold" if on_loss == "hold" else "zero")
+    result = LoopFunction(plant, K).modes({"y": path}, {})
     near = min(result.roots, key=lambda z: abs(z - exact))
     assert damping_ratio(near) == pytest.approx(damping_ratio(exact), abs=2e-3)
     assert near.imag == pytest.approx(exact.imag, rel=2e-3)
@@ -153,8 +153,8 @@ def test_all_roots_of_a_grid_with_slow_controls_are_found(latency_s: float, lost
     relative = remove_reference(linear_plant(case, default_cache()))
     grid, modes = speeds_in_rad(relative, case.omega_b), modes_of(relative, case.areas)
     K = shipped_controller("new_england").system
-    ways = {s: DelayedPath(latency_s, lost=s == lost) for s in K.input_labels}
-    result = np.array(LoopFunction(grid, K).modes(ways, poles_of(modes)).roots)
+    paths = {s: DelayedPath(latency_s, lost=s == lost) for s in K.input_labels}
+    result = np.array(LoopFunction(grid, K).modes(paths, poles_of(modes)).roots)
     late = {s: latency_s for s in K.input_labels if s != lost and latency_s}
     heard = np.array([name != lost for name in K.input_labels], dtype=float)
     names = {"inputs": list(K.input_labels), "outputs": list(K.output_labels)}
@@ -169,8 +169,8 @@ def test_all_roots_of_a_grid_with_slow_controls_are_found(latency_s: float, lost
 
 def test_nothing_arrives_over_a_lost_signal(plant: tuple[control.StateSpace, Modes]) -> None:
     K = controller("wdc").system
-    ways = {"G2_dw": DelayedPath(lost=True), "G4_dw": DelayedPath()}
-    result = LoopFunction(plant[0], K).modes(ways, poles_of(plant[1]))
+    paths = {"G2_dw": DelayedPath(lost=True), "G4_dw": DelayedPath()}
+    result = LoopFunction(plant[0], K).modes(paths, poles_of(plant[1]))
     values = np.linalg.eigvals(closed_loop_matrix(plant[0], K, lost=["G2_dw"]))
     assert result.least is not None
     assert np.min(np.abs(values - result.least)) <= 1e-7

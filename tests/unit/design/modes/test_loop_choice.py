@@ -119,9 +119,9 @@ def test_the_score_of_a_set_is_the_least_over_modes_of_its_largest_index() -> No
         for a, b in combinations(range(len(plant.inputs)), 2)
     }
     assert len(choice.sets) == len(scores)
-    for found_set in choice.sets:
-        assert found_set.score == pytest.approx(scores[frozenset(found_set.actuators)], rel=1e-9)
-        assert found_set.left <= found_set.score + 1e-12
+    for one in choice.sets:
+        assert one.score == pytest.approx(scores[frozenset(one.actuators)], rel=1e-9)
+        assert one.left <= one.score + 1e-12
     assert [s.score for s in choice.sets] == sorted((s.score for s in choice.sets), reverse=True)
 
 

@@ -20,7 +20,7 @@ from interarea.models.blocks.packet_schedule import packet_random
 N, STOP_S = 3, 4.0
 COUNTS = ("sent", "delivered", "dropped", "late")
 BASE: dict[str, float] = {"reporting_interval": 0.02, "wait": 0.06, "seed": 3.0}
-WAYS: dict[str, dict[str, float]] = {
+PATHS: dict[str, dict[str, float]] = {
     "steady": {"latency[1]": 0.01, "latency[2]": 0.03, "latency[3]": 0.05, "latency": 0.015},
     "jitter": {"latency[1]": 0.01, "jitter[1]": 0.08, "jitter[2]": 0.05, "latency[3]": 0.04, "on_loss": 1.0},
     "loss": {"latency[1]": 0.01, "loss[1]": 0.2, "loss[2]": 0.1, "lost[3].start": 1.0, "lost[3].end": 2.0},
@@ -110,20 +110,20 @@ def simulate(p: dict[str, float], h: float) -> np.ndarray:
     return np.array(rows)
 
 
-@pytest.mark.parametrize("way", WAYS)
-def test_it_does_what_a_simulation_of_its_messages_does(concentrator: Path, way: str) -> None:
-    p = BASE | WAYS[way]
+@pytest.mark.parametrize("path", PATHS)
+def test_it_does_what_a_simulation_of_its_messages_does(concentrator: Path, path: str) -> None:
+    p = BASE | PATHS[path]
     for h in (0.02, 0.005):
-        mine, theirs = follow(concentrator, p, h), simulate(p, h)
-        np.testing.assert_array_equal(mine[:, N : 2 * N], theirs[:, N : 2 * N])
-        np.testing.assert_allclose(mine[:, 2 * N], theirs[:, 2 * N], atol=1e-9)
+        own, theirs = follow(concentrator, p, h), simulate(p, h)
+        np.testing.assert_array_equal(own[:, N : 2 * N], theirs[:, N : 2 * N])
+        np.testing.assert_allclose(own[:, 2 * N], theirs[:, 2 * N], atol=1e-9)
         # stamps are communication points: values to rounding
-        np.testing.assert_allclose(mine[:, :N], theirs[:, :N], atol=1e-12)
+        np.testing.assert_allclose(own[:, :N], theirs[:, :N], atol=1e-12)
 
 
 def test_steady_ways_come_out_together_as_late_as_the_slowest(concentrator: Path) -> None:
     """50 ms for the slowest and 15 more: age is a sawtooth from 65 to 85 ms, the same for each signal."""
-    rows = follow(concentrator, BASE | WAYS["steady"], 0.005)
+    rows = follow(concentrator, BASE | PATHS["steady"], 0.005)
     ages = rows[30:, 2 * N]
     assert ages.min() == pytest.approx(0.065, abs=1e-9) and ages.max() == pytest.approx(0.080, abs=1e-9)
     assert np.all(rows[:, N : 2 * N] == 1.0)
@@ -140,7 +140,7 @@ def test_frames_add_up_and_losses_keep_their_rate(concentrator: Path) -> None:
 
 
 def test_the_same_after_restoring_and_in_every_step(concentrator: Path) -> None:
-    p = BASE | WAYS["jitter"]
+    p = BASE | PATHS["jitter"]
     coarse, fine = follow(concentrator, p, 0.02), follow(concentrator, p, 0.005)
     np.testing.assert_array_equal(coarse[:, N : 2 * N], fine[3::4, N : 2 * N])
     with Runner(concentrator) as run:
@@ -160,9 +160,9 @@ def test_the_same_after_restoring_and_in_every_step(concentrator: Path) -> None:
     assert seen[0] == seen[1]
 
 
-@pytest.mark.parametrize("way", WAYS)
-def test_python_knows_when_sets_come_out(concentrator: Path, way: str) -> None:
-    p = BASE | WAYS[way]
+@pytest.mark.parametrize("path", PATHS)
+def test_python_knows_when_sets_come_out(concentrator: Path, path: str) -> None:
+    p = BASE | PATHS[path]
     sets = frame_sets(p, N, 0.0, STOP_S)
     rows = simulate(p, 0.005)
     for t, row in zip(np.arange(1, len(rows) + 1) * 0.005, rows, strict=True):

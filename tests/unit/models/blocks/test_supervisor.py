@@ -148,8 +148,8 @@ def test_file_and_fmu_hold_the_same_bank(fmu: Path, tmp_path: Path) -> None:
     for result in (load_controller(wanted.save(tmp_path / "bank.json")), controller_from_fmu(fmu, OMEGA_B)):
         assert isinstance(result, ControllerBank)
         assert result.return_s == 0.3 and [m.name for m in result.members] == ["both", "local"]
-        for mine, theirs in zip(wanted.matrices().values(), result.matrices().values(), strict=True):
-            for a, b in zip(mine, theirs, strict=True):
+        for own, theirs in zip(wanted.matrices().values(), result.matrices().values(), strict=True):
+            for a, b in zip(own, theirs, strict=True):
                 np.testing.assert_allclose(b, a, rtol=1e-15)
 
 

@@ -247,11 +247,11 @@ class Driver:
         self.c.hold.restype = ctypes.c_double
         self.words = np.zeros(64)
 
-    def run(self, model, instances, xs, inputs, lanes=0, way="drive"):
+    def run(self, model, instances, xs, inputs, lanes=0, mode="drive"):
         """Rates and outputs of devices of one structure next to each other, `lanes` at a time.
 
-        way : "note" and "watch" their decisions, `self.found` whether they are others; "hold" them,
-            `self.found` by how much the one that fits least is overrun, `self.onto` held states on limits
+        mode : "note" and "watch" their decisions, `self.measured` whether they are others; "hold" them,
+            `self.measured` by how much the one that fits least is overrun, `self.onto` held states on limits
         """
         device, n = self.models.index(model), len(instances)
         table = np.zeros((self.c.rows_of(ctypes.c_size_t(device)), n))
@@ -269,12 +269,12 @@ class Driver:
         arrays += [a.ctypes.data_as(ctypes.c_void_p) for a in (x, dx)]
         self.c.drive(*first, *wide, *arrays)
         words, self.onto = self.words.ctypes.data_as(ctypes.c_void_p), x.copy()
-        if way in ("note", "watch"):
-            self.found = self.c.note(*first, *wide, *arrays, words, ctypes.c_int(way == "watch"))
-        elif way == "hold":
+        if mode in ("note", "watch"):
+            self.measured = self.c.note(*first, *wide, *arrays, words, ctypes.c_int(mode == "watch"))
+        elif mode == "hold":
             onto = self.onto.ctypes.data_as(ctypes.c_void_p)
             dx[:], signals[model.device.output][:] = np.nan, 0.0
-            self.found = self.c.hold(*first, *arrays, words, onto)
+            self.measured = self.c.hold(*first, *arrays, words, onto)
         return dx.T, signals[model.device.output]
 
 
@@ -285,7 +285,7 @@ def driver(tmp_path_factory):
 
 @pytest.mark.parametrize("name", TYPICAL)
 def test_c_and_python_agree_far_from_rest(driver, name):
-    """Two writings of the same elements: limits, gates and cut-offs are met on the way."""
+    """Two writings of the same elements: limits, gates and cut-offs are met on the mode."""
     point, inputs = at_rest(name)
     instance, rng = point.instance, np.random.default_rng(5)
     spread = np.geomspace(1e-3, 3.0, 40)
@@ -319,11 +319,11 @@ def test_decisions_held_where_they_were_made_give_the_same_bits(driver, name):
         driver.words[:] = np.nan
         driver.run(instance.model, [instance] * len(xs), xs, seen, lanes, "note")
         driver.run(instance.model, [instance] * len(xs), xs, seen, lanes, "watch")
-        assert not driver.found
-        held = driver.run(instance.model, [instance] * len(xs), xs, seen, way="hold")
+        assert not driver.measured
+        held = driver.run(instance.model, [instance] * len(xs), xs, seen, mode="hold")
         np.testing.assert_array_equal(held[0], free[0])
         np.testing.assert_array_equal(held[1], free[1])
-        assert driver.found <= 0.0
+        assert driver.measured <= 0.0
         np.testing.assert_array_equal(driver.onto.T, np.array(xs))
 
 
@@ -335,15 +335,15 @@ def test_a_limit_overrun_is_watched_and_measured(driver):
     at = list(instance.state_names).index("efd")
     beyond[at] = instance.values["EMAX"] + 0.7
     inputs = inputs | {"vs": 10.0}
-    driver.run(instance.model, [instance], [inside], [inputs], way="note")
-    driver.run(instance.model, [instance], [beyond], [inputs], way="watch")
-    assert driver.found
-    driver.run(instance.model, [instance], [beyond], [inputs], way="hold")
-    assert driver.found == pytest.approx(0.7, rel=1e-12)
-    driver.run(instance.model, [instance], [beyond], [inputs], way="note")
+    driver.run(instance.model, [instance], [inside], [inputs], mode="note")
+    driver.run(instance.model, [instance], [beyond], [inputs], mode="watch")
+    assert driver.measured
+    driver.run(instance.model, [instance], [beyond], [inputs], mode="hold")
+    assert driver.measured == pytest.approx(0.7, rel=1e-12)
+    driver.run(instance.model, [instance], [beyond], [inputs], mode="note")
     below = beyond.copy()
     below[at] -= 0.9  # behind its limit, as where that rises
-    rates, outputs = driver.run(instance.model, [instance], [below], [inputs], way="hold")
+    rates, outputs = driver.run(instance.model, [instance], [below], [inputs], mode="hold")
     assert outputs[0] == instance.values["EMAX"] == driver.onto[at, 0]
     assert rates[0][at] == pytest.approx(0.2 / instance.values["TE"], rel=1e-12)
 

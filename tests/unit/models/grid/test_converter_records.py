@@ -88,10 +88,10 @@ def test_records_that_make_no_plant_are_refused_with_their_line(tmp_path, old, n
     text = (RENA / f"{DYR['RENA_DEFAULT']}.dyr").read_text()
     assert old in text
     (tmp_path / "grid.dyr").write_text(text.replace(old, new))
-    with pytest.raises(CaseError) as told:
+    with pytest.raises(CaseError) as reported:
         import_grid(RENA / "ThreeBusRenewable.raw", dyr=tmp_path / "grid.dyr")
-    assert says in str(told.value)
-    assert "grid.dyr:" in str(told.value)
+    assert says in str(reported.value)
+    assert "grid.dyr:" in str(reported.value)
 
 
 def test_as_currents_there_is_no_converter():

@@ -75,9 +75,9 @@ def test_its_current_is_that_of_the_closed_form_and_it_stops_at_imax():
     ],
 )
 def test_what_cannot_rest_is_named(more, says):
-    with pytest.raises(CaseError) as told:
+    with pytest.raises(CaseError) as reported:
         operating_point(with_converter("alone", **more))
-    assert says in str(told.value).replace("0.521308", "0.5213")
+    assert says in str(reported.value).replace("0.521308", "0.5213")
 
 
 def test_a_page_of_a_grid_without_devices_at_buses_takes_none():

@@ -27,7 +27,7 @@ FOUR = raw_grid(33)
 SVC = "'SVC',3,0,1,0,0,1.0,50"
 
 
-def told(folder: Path, monkeypatch, capsys, raw: bytes, dyr: str | None, *options: str) -> str:
+def printed(folder: Path, monkeypatch, capsys, raw: bytes, dyr: str | None, *options: str) -> str:
     """Return the one line of `interarea import`, which must fail and leave its output as it was."""
     (folder / "grid.raw").write_bytes(raw)
     out = folder / "case.toml"
@@ -88,7 +88,7 @@ def test_a_mistake_in_a_raw_file(tmp_path: Path, monkeypatch, capsys, what: str)
     (old, new), wanted = IN_RAW[what]
     assert old in FOUR
     text = FOUR.replace(old, new, 1)
-    assert wanted in told(tmp_path, monkeypatch, capsys, text.encode(), None)
+    assert wanted in printed(tmp_path, monkeypatch, capsys, text.encode(), None)
 
 
 IN_DYR = {
@@ -122,7 +122,7 @@ IN_DYR = {
 @pytest.mark.parametrize("what", IN_DYR)
 def test_a_mistake_in_a_dyr_file(tmp_path: Path, monkeypatch, capsys, what: str) -> None:
     text, wanted = IN_DYR[what]
-    assert wanted in told(tmp_path, monkeypatch, capsys, RAW.encode(), text)
+    assert wanted in printed(tmp_path, monkeypatch, capsys, RAW.encode(), text)
 
 
 def test_a_machine_whose_bus_the_grid_does_not_have_is_told_with_its_line(tmp_path: Path) -> None:
@@ -140,7 +140,7 @@ def test_a_mistake_keeps_its_line_in_other_encodings_and_line_ends(
     tmp_path: Path, monkeypatch, capsys, encoding: str, end: str
 ) -> None:
     text = FOUR.replace("a title\n", "Malmö\n", 1).replace("80.0,20.0", "80.0,2o.0").replace("\n", end)
-    line = told(tmp_path, monkeypatch, capsys, text.encode(encoding), None)
+    line = printed(tmp_path, monkeypatch, capsys, text.encode(encoding), None)
     assert "/grid.raw:9: load record: QL (field 7) = '2o.0'" in line
 
 

@@ -85,13 +85,13 @@ def test_a_third_field_of_gencls_is_left_out_and_said(tmp_path: Path) -> None:
     assert read.report.assumed["third field of GENCLS left out: the reactance is that of the RAW"] == 4
 
 
-@pytest.mark.parametrize(("subtransient", "told"), [("0.3002", True), ("0.31", False)])
+@pytest.mark.parametrize(("subtransient", "reported"), [("0.3002", True), ("0.31", False)])
 def test_a_transient_reactance_below_the_subtransient_by_rounding(
-    tmp_path: Path, subtransient: str, told: bool
+    tmp_path: Path, subtransient: str, reported: bool
 ) -> None:
     (tmp_path / "grid.raw").write_text(RAW)
     (tmp_path / "grid.dyr").write_text(MACHINES.replace("0.3 0.55 0.25", f"0.3 0.55 {subtransient}"))
-    if not told:
+    if not reported:
         with pytest.raises(CaseError, match=r"Xd2"):
             import_grid(tmp_path / "grid.raw", dyr=tmp_path / "grid.dyr")
         return

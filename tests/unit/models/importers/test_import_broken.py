@@ -25,20 +25,20 @@ def broken(text: str, rng: random.Random) -> str:
     """Return `text` with one of: a word changed, a line lost, doubled, moved or cut, a byte changed."""
     lines = text.split("\n")
     k = rng.randrange(len(lines))
-    way = rng.randrange(7)
-    if way == 0:
+    path = rng.randrange(7)
+    if path == 0:
         words = lines[k].split(",")
         words[rng.randrange(len(words))] = rng.choice(WORDS)
         lines[k] = ",".join(words)
-    elif way == 1:
+    elif path == 1:
         del lines[k]
-    elif way == 2:
+    elif path == 2:
         lines.insert(k, lines[k])
-    elif way == 3:
+    elif path == 3:
         lines.insert(rng.randrange(len(lines)), lines.pop(k))
-    elif way == 4:
+    elif path == 4:
         lines[k] = lines[k][: rng.randrange(len(lines[k]) + 1)]
-    elif way == 5:
+    elif path == 5:
         lines = lines[:k]
     else:
         at = rng.randrange(max(len(text), 1))

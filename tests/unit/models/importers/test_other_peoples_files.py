@@ -137,8 +137,8 @@ def test_a_case_is_named_by_its_file_and_what_is_changed_is_told(
 ) -> None:
     imported = taken(tmp_path, raw_grid(33), file)
     assert imported.case.name == name
-    told = [line for line in imported.report.lines if "the case is named" in line]
-    assert bool(told) == (name != file.removesuffix(".raw"))
+    reported = [line for line in imported.report.lines if "the case is named" in line]
+    assert bool(reported) == (name != file.removesuffix(".raw"))
 
 
 # ---------------------------------------------------------------- a unit at a bus of type 1
@@ -150,13 +150,13 @@ def test_a_unit_at_a_bus_of_type_1_is_decided_by_the_stored_voltages(tmp_path: P
     unit = "8,'1 ',100.0,20.0,99,-99,1.0,0,150.0,0.0,0.25,0,0,1,1,100,999,0"
     extra = stored.replace("\n0 / END OF GENERATOR", f"\n{unit}\n0 / END OF GENERATOR")
     with_one = taken(tmp_path, extra)
-    (told,) = (what for what in with_one.report.assumed if "bus of type 1" in what)
-    assert "left out" in told and len(with_one.case.machines) == 4
+    (reported,) = (what for what in with_one.report.assumed if "bus of type 1" in what)
+    assert "left out" in reported and len(with_one.case.machines) == 4
     assert with_one.case.machines == taken(tmp_path, stored).case.machines
     of_type_1 = stored.replace("\n2,'a/b, 2',0.0,2,", "\n2,'a/b, 2',0.0,1,")
     kept = taken(tmp_path, of_type_1)
-    (told,) = (what for what in kept.report.assumed if "bus of type 1" in what)
-    assert "a solution with it" in told and len(kept.case.machines) == 4
+    (reported,) = (what for what in kept.report.assumed if "bus of type 1" in what)
+    assert "a solution with it" in reported and len(kept.case.machines) == 4
 
 
 def _stored(raw: str, solved: Imported) -> str:

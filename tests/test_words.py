@@ -1,0 +1,89 @@
+"""Names and prose use the standard terms of the field, and files that they name exist."""
+
+from __future__ import annotations
+
+import ast
+import re
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+TRACKED = [
+    ROOT / name
+    for name in subprocess.run(
+        ["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=True
+    ).stdout.splitlines()
+    if (ROOT / name).is_file()
+]
+PYTHON = [p for p in TRACKED if p.suffix == ".py"]
+PROSE = [
+    p
+    for p in TRACKED
+    if p.suffix in {".py", ".c", ".h", ".js", ".md", ".j2", ".toml"}
+    and p.relative_to(ROOT).parts[0] != "tests"
+]
+#: A name says what its value is: `rows`, `signal_paths`, `event_times`, not what was done with it.
+NO_NAME = frozenset(
+    {"alike", "bury", "company", "dismiss", "doubt", "doubtful", "found", "harm", "hire", "kink", "kinks"}
+    | {"mine", "oddities", "oddity", "tally", "told", "way", "ways", "whims"}
+)
+NO_PHRASE = re.compile(
+    r"\b(hardly meant|oddit\w*|whims|kinks?|bury|dismiss\w*|doubt\w*|alike|of one's own|comes along|is told"
+    r"|are told|told in)\b",
+    re.IGNORECASE,
+)
+#: A file that a comment or a page names.
+NAMED_FILE = re.compile(
+    r"(?<![\w/.-])((?:models|fmu_build|design|cosim|interarea|tests|benchmarks|docs|examples)/[\w/.-]*"
+    r"\.(?:py|c|h|md|toml))\b"
+)
+
+
+def _name(path: Path) -> str:
+    return path.relative_to(ROOT).as_posix()
+
+
+def _names_bound(tree: ast.AST) -> Iterator[tuple[int, str]]:
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Name | ast.Attribute) and isinstance(node.ctx, ast.Store):
+            yield node.lineno, node.id if isinstance(node, ast.Name) else node.attr
+        elif isinstance(node, ast.arg):
+            yield node.lineno, node.arg
+        elif isinstance(node, ast.ClassDef | ast.FunctionDef | ast.ExceptHandler):
+            if node.name and not node.name.startswith("test_"):
+                yield node.lineno, node.name
+
+
+def private_names(text: str) -> list[str]:
+    """Return "line: name" of each name in a Python text that uses a word of `NO_NAME`."""
+    return [
+        f"{line}: {name}"
+        for line, name in _names_bound(ast.parse(text))
+        if NO_NAME & set(re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).lower().split("_"))
+    ]
+
+
+@pytest.mark.parametrize("path", PYTHON, ids=_name)
+def test_names_say_what_a_value_is(path: Path) -> None:
+    assert not private_names(path.read_text(encoding="utf-8"))
+
+
+def test_a_private_name_is_seen() -> None:
+    seen = private_names("class ToldRows:\n    def f(self, way):\n        self.all_found = found = way\n")
+    assert sorted(seen) == ["1: ToldRows", "2: way", "3: all_found", "3: found"]
+
+
+@pytest.mark.parametrize("path", PROSE, ids=_name)
+def test_prose_uses_standard_terms(path: Path) -> None:
+    lines = enumerate(path.read_text(encoding="utf-8").splitlines(), 1)
+    assert not [f"{n}: {line.strip()}" for n, line in lines if NO_PHRASE.search(line)]
+
+
+@pytest.mark.parametrize("path", PROSE, ids=_name)
+def test_files_that_are_named_exist(path: Path) -> None:
+    """A name is relative to the repository; NAME stands for any."""
+    named = NAMED_FILE.findall(path.read_text(encoding="utf-8"))
+    assert not [name for name in named if "NAME" not in name and not (ROOT / name).is_file()]
