@@ -8,8 +8,6 @@ import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
-import pytest
-
 ROOT = Path(__file__).resolve().parent.parent
 TRACKED = [
     ROOT / name
@@ -53,8 +51,7 @@ def _names_bound(tree: ast.AST) -> Iterator[tuple[int, str]]:
         elif isinstance(node, ast.arg):
             yield node.lineno, node.arg
         elif isinstance(node, ast.ClassDef | ast.FunctionDef | ast.ExceptHandler):
-            if node.name and not node.name.startswith("test_"):
-                yield node.lineno, node.name
+            yield node.lineno, node.name or ""
 
 
 def private_names(text: str) -> list[str]:
@@ -62,13 +59,14 @@ def private_names(text: str) -> list[str]:
     return [
         f"{line}: {name}"
         for line, name in _names_bound(ast.parse(text))
-        if NO_NAME & set(re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).lower().split("_"))
+        if not name.startswith("test_")
+        and NO_NAME & set(re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).lower().split("_"))
     ]
 
 
-@pytest.mark.parametrize("path", PYTHON, ids=_name)
-def test_names_say_what_a_value_is(path: Path) -> None:
-    assert not private_names(path.read_text(encoding="utf-8"))
+def test_names_say_what_a_value_is() -> None:
+    private = {_name(p): private_names(p.read_text(encoding="utf-8")) for p in PYTHON}
+    assert not {name: names for name, names in private.items() if names}
 
 
 def test_a_private_name_is_seen() -> None:
@@ -76,14 +74,20 @@ def test_a_private_name_is_seen() -> None:
     assert sorted(seen) == ["1: ToldRows", "2: way", "3: all_found", "3: found"]
 
 
-@pytest.mark.parametrize("path", PROSE, ids=_name)
-def test_prose_uses_standard_terms(path: Path) -> None:
-    lines = enumerate(path.read_text(encoding="utf-8").splitlines(), 1)
-    assert not [f"{n}: {line.strip()}" for n, line in lines if NO_PHRASE.search(line)]
+def test_prose_uses_standard_terms() -> None:
+    assert not [
+        f"{_name(path)}:{n}: {line.strip()}"
+        for path in PROSE
+        for n, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1)
+        if NO_PHRASE.search(line)
+    ]
 
 
-@pytest.mark.parametrize("path", PROSE, ids=_name)
-def test_files_that_are_named_exist(path: Path) -> None:
+def test_files_that_are_named_exist() -> None:
     """A name is relative to the repository; NAME stands for any."""
-    named = NAMED_FILE.findall(path.read_text(encoding="utf-8"))
-    assert not [name for name in named if "NAME" not in name and not (ROOT / name).is_file()]
+    assert not [
+        f"{_name(path)}: {name}"
+        for path in PROSE
+        for name in NAMED_FILE.findall(path.read_text(encoding="utf-8"))
+        if "NAME" not in name and not (ROOT / name).is_file()
+    ]

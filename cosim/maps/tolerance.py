@@ -51,7 +51,7 @@ def damping_curves(
 ) -> tuple[tuple[CurvePoint, ...], tuple[Mapping[str, Any], ...]]:
     """Return the exact damping of the loop at the first operating point of a design, and its margins there.
 
-    Latencies of all signals alike and of each alone, scales of each alone; the others are there at once.
+    Latencies common to all signals and of each alone, scales of each alone; the others are there at once.
 
     table : whose first operating point is looked at. K : speeds in rad/s.
     """
@@ -79,8 +79,8 @@ def damping_curves(
 
 def _conditions(signals: Sequence[str], plant: JudgedPlant) -> list[tuple[str, str, float, Condition]]:
     large = isinstance(plant, LargePlant)
-    alike = {ALL: signals} if len(signals) > 1 else {}
-    each = alike | {name: [name] for name in signals}
+    common = {ALL: signals} if len(signals) > 1 else {}
+    each = common | {name: [name] for name in signals}
     latencies = [
         (LATENCY, name, s, Condition("", (), dict.fromkeys(late, s) if s else {}))
         for name, late in each.items()

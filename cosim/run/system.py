@@ -105,7 +105,7 @@ class System:
         self.warnings: list[str] = []  #: what the scenario says that is probably unintended
         self.rounded: list[str] = []  #: times that lay between two ticks of the clock, and what they became
         self.parts: dict[str, Instance] = {}
-        self.others: dict[str, Participant] = {}  #: that are no FMUs: DLLs, participants of one's own
+        self.others: dict[str, Participant] = {}  #: that are no FMUs: DLLs, user-defined participants
         self.plants: dict[str, Case] = {}
         self.shows: dict[str, tuple[str, ...]] = {}
         self.pmus: dict[str, PmuFilter] = {}

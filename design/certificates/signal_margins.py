@@ -81,8 +81,8 @@ class SignalMargin:
 
 
 def _nearest(contacts: Iterable[Contact | None], to: float) -> Contact | None:
-    found = (contact for contact in contacts if contact is not None)
-    return min(found, key=lambda contact: abs(contact.value - to), default=None)
+    met = (contact for contact in contacts if contact is not None)
+    return min(met, key=lambda contact: abs(contact.value - to), default=None)
 
 
 def signal_margins(
@@ -114,19 +114,19 @@ def _margins_at(
     grid = _grid(plant, K, signals)
     R = returned(1j * grid)
     L = _cut(R)
-    found = []
+    margins = []
     if len(signals) > 1:
         among = min(len(signals), len(K.output_labels))
         common = _delay(point, grid, _largest(R)[:, :among], lambda s: _largest(returned(s))[:, :among])
-        found.append(SignalMargin(ALL, common))
+        margins.append(SignalMargin(ALL, common))
     for k, signal in enumerate(signals):
 
         def cut(s: ComplexArray, k: int = k) -> ComplexArray:
             return np.asarray(_cut(returned(s))[:, k : k + 1])
 
         lower, upper = _scales(point, grid, L[:, k], cut)
-        found.append(SignalMargin(signal, _delay(point, grid, L[:, k : k + 1], cut), lower, upper))
-    return found
+        margins.append(SignalMargin(signal, _delay(point, grid, L[:, k : k + 1], cut), lower, upper))
+    return margins
 
 
 def _stable(plant: control.StateSpace | LargePlant, K: control.StateSpace) -> bool:

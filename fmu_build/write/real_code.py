@@ -151,16 +151,16 @@ def _ports(block: Block | Chain) -> tuple[list[_Port], list[_Port], list[_Port]]
         own = [_of_role(block, "input"), _of_role(block, "output"), parameters_of(block)]
         inputs, outputs, parameters = ([_Port(0, v.name, v) for v in group] for group in own)
         return inputs, outputs, parameters
-    found: tuple[list[_Port], list[_Port], list[_Port]] = ([], [], [])
+    exposed: tuple[list[_Port], list[_Port], list[_Port]] = ([], [], [])
     fed = {target for _, target in block.connections}
     for k, (name, b) in enumerate(block.members.items()):
         kind = "controller" if b.kind in ("controller", "supervisor") else "channel"
-        for ports, group in zip(found, _ports(b), strict=True):
+        for ports, group in zip(exposed, _ports(b), strict=True):
             for v in (p.variable for p in group):
                 shown = f"{name}.{v.name}" if v.role == "parameter" else shown_name(name, kind, v)
                 if f"{name}.{v.name}" not in fed:
                     ports.append(_Port(k, shown, v))
-    return found
+    return exposed
 
 
 def _wires(chain: Chain) -> list[tuple[int, int, int, int, int]]:

@@ -46,11 +46,11 @@ def test_the_least_inter_area_damping_of_all_conditions(name, least, cache):
     ("controller", "within_s"), [("none", None), ("svc_damper", 9.0), ("exciter_damper", 18.0)]
 )
 def test_after_a_fault_the_svc_settles_first(controller, within_s):
-    found = run_scenario(scenario(controller)).metrics.settling_time_s
+    result = run_scenario(scenario(controller)).metrics.settling_time_s
     if within_s is None:
-        assert found is None
+        assert result is None
     else:
-        assert within_s - 0.4 < found <= within_s
+        assert within_s - 0.4 < result <= within_s
 
 
 @pytest.mark.slow

@@ -51,9 +51,9 @@ def test_latencies_are_those_of_the_state_space_method_and_scales_divide_stable_
     table, K = load_design(name), shipped_controller(name).system
     table = table.model_copy(update={"point": table.point[:1]})
     plant = family_plants(table, default_cache())[table.point[0].name].judged
-    found = {margin.signal: margin for margin in signal_margins({"here": plant}, K)}
-    assert set(found) == {ALL, "G2_dw", "G4_dw"}
-    for signal, margin in found.items():
+    result = {margin.signal: margin for margin in signal_margins({"here": plant}, K)}
+    assert set(result) == {ALL, "G2_dw", "G4_dw"}
+    for signal, margin in result.items():
         expected = delay_margin(plant, K, None if signal == ALL else [signal]).margin_s
         assert (margin.delay.value if margin.delay else np.inf) == pytest.approx(expected, abs=1e-9)
 
@@ -61,7 +61,7 @@ def test_latencies_are_those_of_the_state_space_method_and_scales_divide_stable_
         return float(rightmost_roots(delayed_loop(plant, K, scale_of={signal: factor}))[0].real)
 
     for signal in K.input_labels:
-        for contact in (found[signal].lower, found[signal].upper):
+        for contact in (result[signal].lower, result[signal].upper):
             assert contact is not None
             inside, outside = (1.0 + share * (contact.value - 1.0) for share in (0.999, 1.001))
             assert rightmost(signal, inside) < 0.0 < rightmost(signal, outside)

@@ -57,8 +57,8 @@ def test_csvgn1_follows_the_record(tmp_path):
     ],
 )
 def test_records_that_make_no_svc_are_refused_with_their_line(tmp_path, changes, says):
-    with pytest.raises(CaseError) as told:
+    with pytest.raises(CaseError) as reported:
         imported(tmp_path, **changes)
-    assert says in str(told.value)
-    assert "\n" not in str(told.value)
-    assert "grid." in str(told.value)
+    assert says in str(reported.value)
+    assert "\n" not in str(reported.value)
+    assert "grid." in str(reported.value)
