@@ -43,6 +43,7 @@ if TYPE_CHECKING:  # what the table below says, for type checkers and editors
     from interarea.models.errors import InterareaError as InterareaError
     from interarea.models.errors import UserError as UserError
     from interarea.simulation import Channel as Channel
+    from interarea.simulation import compare as compare
     from interarea.simulation import read_sweep as read_sweep
     from interarea.simulation import simulate as simulate
     from interarea.simulation import sweep as sweep
@@ -54,7 +55,7 @@ if TYPE_CHECKING:  # what the table below says, for type checkers and editors
 _PUBLIC = {
     "grids": "load_case import_case modes loops linearise reduce",
     "synthesis": "design_controller load_controller certify",
-    "simulation": "simulate Channel sweep read_sweep",
+    "simulation": "simulate compare Channel sweep read_sweep",
     "control_systems": "delay_margin delayed_poles hinfsyn h2syn",
     "exchange": "build_fmu write_ssp write_container check",
     "design.controllers.controller": "Controller",

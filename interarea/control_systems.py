@@ -174,12 +174,16 @@ def _generalized(
 ) -> tuple[GeneralizedPlant, npt.NDArray[np.float64]]:
     """Return the generalized plant without its D22, and D22."""
     G = state_space(plant, "plant")
-    for name, count, total in (
-        ("measurements", measurements, G.noutputs),
-        ("controls", controls, G.ninputs),
+    for name, count, total, others in (
+        ("measurements", measurements, G.noutputs, "outputs are z, what is to be small"),
+        ("controls", controls, G.ninputs, "inputs are w, what disturbs"),
     ):
-        if not 1 <= count <= total:
-            raise LinearSystemError(f"{name} = {count!r}, allowed: 1 to {total}, as the plant has them")
+        if not 1 <= count < total:
+            allowed = f"1 to {total - 1}" if total > 1 else "no number"
+            raise LinearSystemError(
+                f"{name} = {count!r}, allowed: {allowed} of the plant's {total}; the first {others}; "
+                "control.augw makes such a plant"
+            )
     p, m = G.noutputs - measurements, G.ninputs - controls
     P = GeneralizedPlant(
         A=G.A,

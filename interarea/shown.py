@@ -17,6 +17,9 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
+    from interarea.cosim.results.run import Run
+    from interarea.cosim.run.compare import Compared
+    from interarea.cosim.scenario.scenario import Scenario
     from interarea.design.certificates.switching import SwitchingCertificate
     from interarea.design.robust.operating_points import FamilyCertificate
     from interarea.models.case.case import Case
@@ -219,6 +222,71 @@ class Certificate:
     def _repr_html_(self) -> str:
         message = "holds what was asked" if self.ok else "; ".join(self.violations)
         return _html(f"{self.controller} on {self.case}: {message}", self.to_frame())
+
+
+@dataclass(frozen=True, repr=False)
+class Comparison:
+    """One scenario with several controllers (`compare`): `runs` by name, `roots` over latency, `worth`.
+
+    worth : controller -> what its signals from other machines are worth in the linear loop, in a sentence.
+    """
+
+    scenario: Scenario
+    compared: tuple[Compared, ...]
+    worth: Mapping[str, str]
+
+    @property
+    def runs(self) -> dict[str, Run]:
+        """The run with each controller, by its name."""
+        return {one.name: one.run for one in self.compared}
+
+    @property
+    def roots(self) -> pd.DataFrame:
+        """Roots of each linear loop with all channels that late: latency_s, real_per_s, frequency_hz, ..."""
+        return _frame([{"controller": one.name, **row} for one in self.compared for row in one.roots()])
+
+    def to_frame(self) -> pd.DataFrame:
+        """Return one row a controller: verdict, damping of the linear loop, settling, peak, effort."""
+        return _frame([one.row() for one in self.compared], "controller")
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return everything as JSON values, as compare.json has it."""
+        return {
+            "scenario": self.scenario.name,
+            "controllers": [one.row() for one in self.compared],
+            "roots": {one.name: one.roots() for one in self.compared},
+            "worth": dict(self.worth),
+        }
+
+    def plot(self) -> Figure:
+        """Draw the swing that runs are judged by with each controller, and what the controllers put out."""
+        from interarea.cosim.run.compare import curves_figure
+
+        return curves_figure(self.compared)
+
+    def save(self, folder: str | Path, *, command: str = "interarea.compare") -> list[Path]:
+        """Write the files of each run in a folder of its own, compare.json and the page compare.html.
+
+        All files or none. command : what made it, as the page says.
+        """
+        from interarea.cosim.results.record import write_json
+        from interarea.cosim.run.compare import write_comparison
+        from interarea.models.files import together
+
+        place = Path(folder)
+        with together():
+            files = [file for name, run in self.runs.items() for file in run.save(place / name)]
+            files.append(place / "compare.json")
+            write_json(self.as_dict(), files[-1])
+            page = write_comparison(self.compared, self.scenario, place / "compare.html", command)
+        return [*files, page]
+
+    def __repr__(self) -> str:
+        listed = ", ".join(f"{one.name} {one.run.verdict.name}" for one in self.compared)
+        return f"Comparison({self.scenario.name}: {listed})"
+
+    def _repr_html_(self) -> str:
+        return _html(self.scenario.title or self.scenario.name, self.to_frame())
 
 
 @dataclass(frozen=True, repr=False)

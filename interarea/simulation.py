@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,16 +11,18 @@ from pydantic import ValidationError
 
 from interarea.cosim.errors import ScenarioError, SweepError
 from interarea.cosim.results.result import Result
+from interarea.cosim.run.controllers import controller_of
 from interarea.cosim.run.run import run_scenario, run_system
-from interarea.cosim.scenario.scenario import load_scenario
+from interarea.cosim.scenario.scenario import Scenario, load_scenario
 from interarea.cosim.scenario.signal_paths import ChannelTable
 from interarea.design.controllers.bank import ControllerBank
-from interarea.design.controllers.controller import Controller
-from interarea.design.linear.systems import SystemLike
+from interarea.design.controllers.controller import Controller, ControllerError
+from interarea.design.linear.systems import SystemLike, kind_of
+from interarea.fmu_build.write.cache import default_cache
 from interarea.grids import case_like
 from interarea.models.mistakes import mistakes
-from interarea.progress import Report, notebook_bars, tell_runs
-from interarea.shown import SweepResults
+from interarea.progress import Report, notebook_bars, silent, tell_runs
+from interarea.shown import Comparison, SweepResults
 
 if TYPE_CHECKING:
     from interarea.cosim.sweep.front import Progress
@@ -79,12 +81,7 @@ def simulate(
     >>> run.stable
     True
     """
-    if case is not None and isinstance(scenario, Mapping):
-        scenario = {**scenario, "case": case_like(case).name}
-    grid = None if case is None else case_like(case)
-    loaded = load_scenario(scenario, frequency_hz=None if grid is None else grid.frequency_hz)
-    if grid is not None:
-        loaded = loaded.model_copy(update={"case": grid.name})
+    loaded, grid = _scenario_on(scenario, case)
     if controller is not None:
         if not isinstance(controller, Controller | ControllerBank | str | Path):
             controller = Controller.of(controller)
@@ -98,8 +95,75 @@ def simulate(
         return run_scenario(loaded, case=grid, controller=controller, progress=progress)
 
 
+def _scenario_on(
+    scenario: str | Path | Mapping[str, Any] | Scenario, case: Case | str | Path | None
+) -> tuple[Scenario, Case | None]:
+    """Return a scenario on another case than its own, and that case; None without one."""
+    if case is None:
+        return load_scenario(scenario), None
+    grid = case_like(case)
+    if isinstance(scenario, Mapping):
+        scenario = {**scenario, "case": grid.name}
+    loaded = load_scenario(scenario, frequency_hz=grid.frequency_hz)
+    return loaded.model_copy(update={"case": grid.name}), grid
+
+
 def _tell_time(report: Report, stage: str, now_s: float, end_s: float) -> None:
     report(stage, now_s / end_s, f"{now_s:.1f} of {end_s:g} s")
+
+
+def compare(
+    controllers: Sequence[Controller | ControllerBank | SystemLike | str | Path],
+    scenario: str | Path | Mapping[str, Any] = "wide-area-damping",
+    *,
+    case: Case | str | Path | None = None,
+    progress: Callable[[str, float], object] | None = None,
+) -> Comparison:
+    """Run one scenario with several controllers, and follow the roots of each loop over latency.
+
+    As the command ``interarea compare`` does.
+
+    Parameters
+    ----------
+    controllers : each as `simulate` takes it, ``"none"`` too.
+    scenario, case : as `simulate` takes them.
+    progress : called with the controller and the share of it that is done; without it a notebook shows bars.
+
+    Raises
+    ------
+    UserError : a mistake in the scenario or in a controller, a name given twice. StepError : an FMU failed.
+
+    Examples
+    --------
+    >>> found = compare(["none", "robust"], "lost-signal")
+    >>> found.to_frame().least_damping_ratio.round(3).to_dict()
+    {'none': 0.081, 'robust': 0.27}
+    """
+    from interarea.cosim.designs.worth import worth_at
+    from interarea.cosim.run.compare import compare_controllers, compared_name, folder_from
+
+    if isinstance(controllers, str | Path | Controller | ControllerBank):
+        raise ScenarioError(f"controllers: is {kind_of(controllers)}, wanted a list of controllers")
+    loaded, grid = _scenario_on(scenario, case)
+    several = [
+        one if isinstance(one, Controller | ControllerBank | str | Path) else Controller.of(one)
+        for one in controllers
+    ]
+    with notebook_bars([compared_name(one) for one in several]) as report:
+        rows = compare_controllers(
+            loaded, several, case=grid, cache=default_cache(), progress=progress or report or silent
+        )
+    on_case = loaded.load_case() if grid is None else grid
+    late = {c.signal: c.latency_s for c in loaded.channels.values()}
+    sentences = {}
+    for one in several:
+        try:
+            judged = controller_of(one, on_case, default_cache(), folder=folder_from(loaded, one))
+        except ControllerError:
+            continue  # an FMU that is no controller of ours: its gains are not known
+        if isinstance(judged, Controller):
+            sentences[judged.name] = worth_at(on_case, judged, default_cache(), latency_s_of=late).sentence
+    return Comparison(loaded, tuple(rows), sentences)
 
 
 def sweep(

@@ -41,6 +41,10 @@ FUNCTIONS = {
     "simulate": "scenario: str | Path | Mapping[str, Any], *, case: Case | str | Path | None = None, "
     f"controller: {CONTROLLER} | None = None, progress: Callable[[float, float], object] | None = None "
     "-> Result",
+    "compare": f"controllers: Sequence[{CONTROLLER}], "
+    "scenario: str | Path | Mapping[str, Any] = 'wide-area-damping', *, "
+    "case: Case | str | Path | None = None, progress: Callable[[str, float], object] | None = None "
+    "-> Comparison",
     "sweep": "spec: str | Path | Mapping[str, Any], *, out: str | Path, workers: int | None = None, "
     "scheduler: str | None = None, large: bool = False, "
     "progress: Callable[[Progress], object] | None = None -> SweepResults",
@@ -85,6 +89,7 @@ METHODS = {
     "Run": "damping_ratio settling_time_s plot stable summary metrics scenario case",
     "SwingModes": "inter_area to_frame plot",
     "RankedLoops": "selected to_frame plot",
+    "Comparison": "runs roots worth to_frame plot save as_dict",
     "Certificate": "ok violations rows to_frame plot as_dict",
     "SweepResults": "summary to_frame trajectory plot maps",
     "System": "plant controller fmu add channel concentrator connect event run self_test",

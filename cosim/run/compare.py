@@ -11,8 +11,11 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
+from interarea.design.controllers.bank import ControllerBank
+from interarea.design.controllers.controller import Controller
 from interarea.design.delay.loop_modes import LoopModes
 from interarea.design.modes.modes import damping_ratio
+from interarea.models.case.case import Case
 from interarea.models.errors import Collected
 from interarea.models.files import write_whole
 
@@ -22,6 +25,7 @@ from ..plots.html import page_environment, page_figure
 from ..results.record import record_of, scenario_text
 from ..results.run import Run
 from ..scenario.scenario import Scenario
+from .controllers import ControllerLike
 from .linear_loop import linear_swings
 from .run import system_of
 from .system import System
@@ -73,22 +77,41 @@ class Compared:
         ]
 
 
+def compared_name(controller: ControllerLike) -> str:
+    """Return what a controller is called in a comparison: its own name, or that of its file."""
+    if isinstance(controller, str | Path):
+        return Path(controller).stem if Path(controller).suffix else str(controller)
+    if isinstance(controller, Controller | ControllerBank):
+        return controller.name
+    return Controller.of(controller).name
+
+
+def folder_from(scenario: Scenario, controller: ControllerLike) -> Path:
+    """Return the folder from which a controller's file is named: where one stands, or the scenario's."""
+    here = not isinstance(controller, str | Path) or Path(controller).exists()
+    return Path() if here else scenario.folder
+
+
 def compare_controllers(
     scenario: Scenario,
-    controllers: Sequence[str],
+    controllers: Sequence[ControllerLike],
     *,
+    case: Case | None = None,
     cache: Path,
     progress: Callable[[str, float], object] = lambda name, done: None,
 ) -> list[Compared]:
-    """Run a scenario with each controller (names or files, ``none`` too) and follow the roots of its loop.
+    """Run a scenario with each controller (as `controller_of` takes it) and follow the roots of its loop.
 
+    case : in place of the one that the scenario names.
     progress : called with the controller and the share that is done, 0 to 1.
 
     Raises
     ------
     ScenarioError : all that is wrong with scenario and controllers, a line each; a controller given twice.
     """
-    names = [Path(c).stem if Path(c).suffix else c for c in controllers]
+    if not controllers:
+        raise ScenarioError("compare: no controller given, allowed: one or more, 'none' too")
+    names = [compared_name(c) for c in controllers]
     twice = sorted({n for n in names if names.count(n) > 1})
     if twice:
         raise ScenarioError(f"compare: {' and '.join(twice)} given twice, allowed: each controller once")
@@ -98,8 +121,7 @@ def compare_controllers(
     wrong = Collected()
     for name, provided in zip(names, controllers, strict=True):
         with wrong:
-            one = scenario.model_copy(update={"controller": provided, "folder": _folder(scenario, provided)})
-            systems[name] = system_of(one, cache=cache, case=scenario.load_case())
+            systems[name] = _system_with(scenario, name, provided, case or scenario.load_case(), cache)
     wrong.end(ScenarioError)
     rows = []
     for name, system in systems.items():
@@ -114,9 +136,17 @@ def compare_controllers(
     return rows
 
 
-def _folder(scenario: Scenario, controller: str) -> Path:
-    """A controller's file of the command line is named from where one stands, as all its words are."""
-    return Path() if Path(controller).exists() else scenario.folder
+def _system_with(
+    scenario: Scenario, name: str, controller: ControllerLike, case: Case, cache: Path
+) -> System:
+    """Return the system of a scenario with another controller; results tell its name."""
+    if isinstance(controller, str | Path):
+        folder = folder_from(scenario, controller)
+        one = scenario.model_copy(update={"controller": str(controller), "folder": folder})
+        return system_of(one, cache=cache, case=case)
+    system = system_of(scenario, cache=cache, case=case, controller=controller)
+    system.scenario = scenario.model_copy(update={"controller": name})
+    return system
 
 
 def _swings_at(system: System, latency_s: float) -> LoopModes | str:

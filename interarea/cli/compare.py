@@ -5,14 +5,11 @@ from __future__ import annotations
 import json
 import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from .terminal import note, print_table, stage_progress
-
-if TYPE_CHECKING:
-    from interarea.cosim.scenario.scenario import Scenario
 
 _COLUMNS = {
     "least_damping_ratio": "least damping",
@@ -50,66 +47,32 @@ def compare(
 
     loaded = load_scenario(scenario)
     # a mistake in the file is reported before what runs it is loaded
-    from interarea.cosim.results.record import write_json
-    from interarea.cosim.run.compare import compare_controllers, write_comparison
-    from interarea.fmu_build.write.cache import default_cache
-    from interarea.models.files import together
+    from interarea.cosim.run.compare import compared_name
+    from interarea.simulation import compare as compare_runs
 
+    stages = {compared_name(c): c for c in controllers}
     with stage_progress(controllers) as progress:
-        stages = {Path(c).stem if Path(c).suffix else c: c for c in controllers}
-        result = compare_controllers(
-            loaded,
-            controllers,
-            cache=default_cache(),
-            progress=lambda name, done: progress(stages[name], done),
-        )
-    rows = [one.row() for one in result]
-    worth = _worth(loaded, controllers)
-    document = {
-        "scenario": loaded.name,
-        "controllers": rows,
-        "roots": {o.name: o.roots() for o in result},
-        "worth": worth,
-    }
+        result = compare_runs(controllers, loaded, progress=lambda name, done: progress(stages[name], done))
     files: list[Path] = []
     if out is not None:
-        command = shlex.join(
-            ["interarea", "compare", *controllers, "--scenario", scenario, "--out", str(out)]
-        )
-        with together():
-            for one in result:
-                one.run.save(out / one.name)
-            files = [out / "compare.json", write_comparison(result, loaded, out / "compare.html", command)]
-            write_json(document, files[0])
+        command = ["interarea", "compare", *controllers, "--scenario", scenario, "--out", str(out)]
+        files = result.save(out, command=shlex.join(command))[-2:]
+    document = result.as_dict()
     if json_:
         typer.echo(json.dumps(document, indent=2, allow_nan=False))
     else:
         print_table(
             f"{loaded.title or loaded.name} (roots of the linear loop where known)",
             ("controller", "verdict", *_COLUMNS.values()),
-            [(r["controller"], r["verdict"], *map(_cell, (r[k] for k in _COLUMNS))) for r in rows],
+            [
+                (r["controller"], r["verdict"], *map(_cell, (r[k] for k in _COLUMNS)))
+                for r in document["controllers"]
+            ],
         )
-        for name, message in worth.items():
+        for name, message in result.worth.items():
             typer.echo(f"{name}: {message}")
     for file in files:
         (note if json_ else typer.echo)(file)
-
-
-def _worth(scenario: Scenario, controllers: list[str]) -> dict[str, str]:
-    """Return controller -> what its signals are worth in the linear loop of the scenario, in a sentence."""
-    from interarea.cosim.designs.worth import worth_at
-    from interarea.design.controllers.controller import Controller
-    from interarea.fmu_build.write.cache import default_cache
-    from interarea.synthesis import load_controller
-
-    case = scenario.load_case()
-    late = {c.signal: c.latency_s for c in scenario.channels.values()}
-    sentences = {}
-    for name in controllers:
-        loaded = None if name == "none" else load_controller(name, case=case)
-        if isinstance(loaded, Controller):
-            sentences[loaded.name] = worth_at(case, loaded, default_cache(), latency_s_of=late).sentence
-    return sentences
 
 
 def _cell(value: Any) -> str:
