@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import math
 import struct
 from pathlib import Path
@@ -81,6 +82,41 @@ def test_calls_in_the_wrong_state(decay: Path) -> None:
     for state, call in cases:
         with Runner(decay) as run:
             check_refused(run, f'not allowed in state "{state}"', call, run)
+
+
+def test_after_an_error_values_are_read_and_nothing_else(decay: Path) -> None:
+    """Column "error" of the standard's tables: values for debugging; a reset or a saved state ends it.
+
+    Nothing is computed: values and states stay what they were, whatever is called in between.
+    """
+    with Runner(decay, "me") as run:
+        run.start({"u": 1.5})
+        fmu, saved = run.fmu, run.fmu.getFMUstate()
+        before = run.get("x"), run.get("y")
+        check_refused(run, "is not finite", fmu.setTime, NAN)
+        x, dx, nominals = ((ctypes.c_double * 1)() for _ in range(3))
+        for _ in range(2):  # no answer changes what the next one is
+            fmu.getContinuousStates(x, 1)
+            fmu.getDerivatives(dx, 1)
+            fmu.fmi2GetNominalsOfContinuousStates(fmu.component, nominals, 1)
+            assert (x[0], run.get("y")) == before and nominals[0] > 0.0
+        refused = [
+            (fmu.setTime, 0.1),
+            (fmu.setContinuousStates, x, 1),
+            (fmu.enterEventMode,),
+            (fmu.newDiscreteStates,),
+            (fmu.enterContinuousTimeMode,),
+            (fmu.completedIntegratorStep,),
+            (fmu.getDirectionalDerivative, [1], [0], [1.0]),
+            (fmu.getFMUstate,),
+            (run.set_of, {"u": 0.0}),
+            (fmu.terminate,),
+        ]
+        for call, *arguments in refused:
+            check_refused(run, 'not allowed in state "error"', call, *arguments)
+        fmu.setFMUstate(saved)
+        assert run.get("x") == before[0]
+        run.set(u=0.5)  # allowed again
 
 
 def test_model_exchange_states(decay: Path) -> None:

@@ -28,6 +28,10 @@ fmi2Status fuzz_told(Fuzz *f, Slot *s, fmi2Status status)
 
 #define IN(phase) (1u << (phase))
 
+/* States in which values are computed; and those in which they are read, after an error for debugging alone. */
+#define COMPUTED (IN(INITIALIZATION) | IN(EVENT) | IN(CONTINUOUS) | IN(STEPPING) | IN(FAILED))
+#define READ (COMPUTED | IN(ENDED) | IN(BROKEN))
+
 /* A call that was accepted must have been legal. */
 static void legal(const Fuzz *f, const Slot *s, fmi2Status status, unsigned phases, int arguments, const char *what)
 {
@@ -208,6 +212,7 @@ static void directional(Fuzz *f, Slot *s, int natural)
     const fmi2Status status = fmi2GetDirectionalDerivative(s->c, OR_NULL(unknown.references), unknown.given,
                                                            OR_NULL(known.references), known.given,
                                                            OR_NULL(known.seed), OR_NULL(unknown.reals));
+    legal(f, s, status, COMPUTED | IN(ENDED), 1, "a directional derivative was computed in the wrong state");
     are_finite(f, status, unknown.reals, unknown.given, "a directional derivative is not finite");
     fuzz_told(f, s, status);
     drop(&known);
@@ -227,6 +232,8 @@ static void slopes(Fuzz *f, Slot *s, int natural)
         set ? fmi2SetRealInputDerivatives(s->c, OR_NULL(a.references), a.given, OR_NULL(a.integers), OR_NULL(a.reals))
             : fmi2GetRealOutputDerivatives(s->c, OR_NULL(a.references), a.given, OR_NULL(a.integers),
                                            OR_NULL(a.reals));
+    legal(f, s, status, set ? IN(INSTANTIATED) | IN(INITIALIZATION) | IN(STEPPING) : IN(STEPPING) | IN(FAILED) | IN(ENDED),
+          1, "a derivative of an input or output was accepted in the wrong state");
     are_finite(f, status, a.reals, a.given, "a derivative of an input or output is not finite");
     fuzz_told(f, s, status);
     drop(&a);
@@ -272,11 +279,15 @@ static void exchange(Fuzz *f, Slot *s, int natural)
 
     switch (natural && s->phase == EVENT ? 8 : (int)random_below(natural ? 8 : 9)) {
     case 0:
-        status = fuzz_told(f, s, fmi2GetDerivatives(s->c, OR_NULL(x), n));
+        status = fmi2GetDerivatives(s->c, OR_NULL(x), n);
+        legal(f, s, status, READ, n == f->n_x, "derivatives were read in the wrong state");
+        fuzz_told(f, s, status);
         are_finite(f, status, x, n, "a derivative is not finite");
         break;
     case 1:
-        status = fuzz_told(f, s, fmi2GetContinuousStates(s->c, OR_NULL(x), n));
+        status = fmi2GetContinuousStates(s->c, OR_NULL(x), n);
+        legal(f, s, status, READ, n == f->n_x, "states were read in the wrong state");
+        fuzz_told(f, s, status);
         are_finite(f, status, x, n, "a state is not finite");
         break;
     case 2:
@@ -293,13 +304,31 @@ static void exchange(Fuzz *f, Slot *s, int natural)
         legal(f, s, status, IN(EVENT) | IN(CONTINUOUS), isfinite(t), "a time was accepted that is not finite, or too early");
         fuzz_told(f, s, status);
         break;
-    case 4: fuzz_told(f, s, fmi2GetNominalsOfContinuousStates(s->c, OR_NULL(x), n)); break;
-    case 5: fuzz_told(f, s, fmi2GetEventIndicators(s->c, OR_NULL(x), natural ? 0 : n)); break;
-    case 6: fuzz_told(f, s, fmi2CompletedIntegratorStep(s->c, fmi2True, OR_NULL(&enter), OR_NULL(&end))); break;
-    case 7:
-        if (fuzz_told(f, s, fmi2EnterEventMode(s->c)) == fmi2OK) s->phase = EVENT;
+    case 4:
+        status = fmi2GetNominalsOfContinuousStates(s->c, OR_NULL(x), n);
+        legal(f, s, status, READ | IN(INSTANTIATED), n == f->n_x, "nominals were read in the wrong state");
+        fuzz_told(f, s, status);
         break;
-    default: f->events += fuzz_told(f, s, fmi2NewDiscreteStates(s->c, OR_NULL(&info))) == fmi2OK; break;
+    case 5:
+        status = fmi2GetEventIndicators(s->c, OR_NULL(x), natural ? 0 : n);
+        legal(f, s, status, READ, 1, "event indicators were read in the wrong state");
+        fuzz_told(f, s, status);
+        break;
+    case 6:
+        status = fmi2CompletedIntegratorStep(s->c, fmi2True, OR_NULL(&enter), OR_NULL(&end));
+        legal(f, s, status, IN(CONTINUOUS), 1, "a step was completed outside continuous-time mode");
+        fuzz_told(f, s, status);
+        break;
+    case 7:
+        status = fmi2EnterEventMode(s->c);
+        legal(f, s, status, IN(CONTINUOUS), 1, "event mode was entered from the wrong state");
+        if (fuzz_told(f, s, status) == fmi2OK) s->phase = EVENT;
+        break;
+    default:
+        status = fmi2NewDiscreteStates(s->c, OR_NULL(&info));
+        legal(f, s, status, IN(EVENT), 1, "events were handled outside event mode");
+        f->events += fuzz_told(f, s, status) == fmi2OK;
+        break;
     }
     free(x);
 }

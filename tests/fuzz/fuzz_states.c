@@ -25,7 +25,9 @@ void fuzz_save(Fuzz *f, int slot, int natural)
     switch (random_below(natural ? 5 : 7)) {
     case 0:
         if (!own || (natural && s->phase == BROKEN)) break;
+        const int broken = s->phase == BROKEN;
         if (fuzz_told(f, s, fmi2GetFMUstate(s->c, OR_NULL(&f->states[k]))) == fmi2OK) {
+            if (broken) fuzz_broken(f, "the state of an instance was saved after an error");
             f->owner[k] = slot;
             f->phase_of[k] = s->phase;
         }

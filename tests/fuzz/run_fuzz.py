@@ -14,7 +14,7 @@ import time
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
-sys.path.extend(str(HERE), str(HERE.parent))
+sys.path.extend([str(HERE), str(HERE.parent)])
 
 from fuzz_blocks import fuzz_block  # noqa: E402
 from fuzz_build import build_driver, sanitizing_compiler  # noqa: E402

@@ -52,6 +52,7 @@ def test_nothing_is_found(kind: str, compiler: Compiler, cache: Path, tmp_path: 
     ("file", "old", "new"),
     [
         ("fmi2_values.c", "references[i] >= c->n_real", "references[i] > c->n_real"),
+        ("fmi2_common.c", "MODES_READ & ~MODE_ERROR", "MODES_READ"),
         ("fmi2_state.c", "|| head->model != model_of(c))", ")"),
         ("instance.c", "if (*s == '%') safe[n++] = '%';", ""),
         ("fmi2_cs.c", "else if (!(step <= longest))", "else if (0)"),
