@@ -21,7 +21,7 @@ from interarea.models.documents import DocumentError, parse_toml
 from interarea.models.errors import CaseError
 from interarea.models.grid.equilibrium import OperatingPoint, operating_point
 
-from ..errors import ScenarioError
+from ..errors import ScenarioError, nearest
 from ..run.artefacts import linear_plant
 from ..run.controllers import controller_of
 from ..scenario.names import CONTROLLER_NAMES
@@ -173,8 +173,8 @@ def subject_of(
     if name in scenario_names() or not _is_case(Path(source)):
         if name not in scenario_names() and not Path(source).exists():
             raise ScenarioError(
-                f"{name!r} is neither a scenario nor a case; allowed: a file, or one of "
-                f"{', '.join([*scenario_names(), *case_names()])}"
+                f"{name!r} is neither a file nor a bundled scenario or case; "
+                f"{nearest(name, [*scenario_names(), *case_names()])}"
             )
         return _of_scenario(load_scenario(source), cache)
     case = load_case(source)

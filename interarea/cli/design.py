@@ -83,7 +83,7 @@ def design(
     from .destination import file_for, folder_for
     from .grids import grid_of
 
-    file_for(out)
+    file_for(out, suffix=".json")
     if (grid := grid_of(spec, dyr)) is not None:
         made, written = design_for_grid(spec, grid[0], out, minutes)
         _show_made(made, grid[1], written, json_=json_)

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.integrate
 
-from ..errors import DeviceError
+from ..errors import DeviceError, nearest
 from .language.device import KINDS
 from .language.structure import Model
 from .rest import RestPoint, rest_of
@@ -125,5 +125,14 @@ def _step_response(rest: RestPoint, inputs: Mapping[str, float], stop_s: float) 
 
 
 def missing(model: Model, provided: Mapping[str, object]) -> list[str]:
-    """Return the parameters without a default that `provided` lacks."""
+    """Return the parameters without a default that `provided` lacks.
+
+    Raises
+    ------
+    DeviceError : `provided` names what is no parameter of the device.
+    """
+    names = [p.name for p in model.device.parameters]
+    for name in provided:
+        if name not in names:
+            raise DeviceError(f"{model.device.name}: {name} is no parameter of it; {nearest(name, names)}")
     return [p.name for p in model.device.parameters if p.default is None and p.name not in provided]

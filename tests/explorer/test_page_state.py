@@ -186,7 +186,7 @@ def test_what_a_container_cannot_hold_is_named(tmp_path: Path, cache: Path) -> N
         file.write_text(text, encoding="utf-8")
         with pytest.raises(ValueError, match=said):
             explorer_page(subject_of(file, cache))
-    with pytest.raises(ScenarioError, match="neither a scenario nor a case"):
+    with pytest.raises(ScenarioError, match="neither a file nor a bundled scenario or case"):
         subject_of("nothing-of-that-name", cache)
 
 

@@ -35,6 +35,10 @@ INPUTS = {
     "FMU": "check input.fmu",
     "SSP": "check input.ssp",
     "controller": "certify input.json",
+    "record to meter": "meter input.csv",
+    "record to locate in": "locate input.csv",
+    "COMTRADE record": "meter input.cfg",
+    "trajectory": "meter input.parquet",
 }
 
 
