@@ -1,20 +1,26 @@
-"""DLLs of linux64 and win64 give the same bits in a C host: INTERAREA_DLL_STEPS calls, win64 under Wine."""
+"""DLLs of linux64, win64 and win32 give the same bits in a C host: INTERAREA_DLL_STEPS calls, under Wine.
+
+INTERAREA_WINE32: command that runs a 32-bit Windows program (Debian: `wine` of the architecture i386).
+"""
 
 from __future__ import annotations
 
 import os
+import shlex
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
-from platforms.test_same_bits import FMU_FLAGS, emulator_of
+from platforms.test_same_bits import FMU_FLAGS, Emulator, emulator_of
 
 from interarea.cosim.run.controllers import controller_of
 from interarea.fmu_build.write.cache import COMPILERS_OWN
 from interarea.fmu_build.write.compile import SYSTEM_LIBRARIES
-from interarea.fmu_build.write.real_code import DLL_PLATFORMS, build_dll
+from interarea.fmu_build.write.real_code import DLL_PLATFORMS, Chain, build_dll
 from interarea.models.blocks.channel import channel_block
+from interarea.models.blocks.pmu import pmu_block
+from interarea.models.blocks.variables import Block
 from interarea.models.case.case import load_case
 
 pytestmark = [
@@ -44,33 +50,53 @@ def host(name: str, folder: Path, cache: Path) -> Path:
     return program
 
 
-@pytest.mark.parametrize("kind", ["controller", "channel"])
-@pytest.mark.parametrize("name", ["win64"])
-def test_a_windows_dll_has_the_bits_of_the_linux_one(
-    name: str, kind: str, tmp_path: Path, cache: Path
-) -> None:
+def emulator(name: str, folder: Path) -> Emulator:
+    """Return what runs programs of a platform; skip where there is nothing."""
+    if name != "win32":
+        return emulator_of(name, folder)
+    command = os.environ.get("INTERAREA_WINE32", "")
+    if not command:
+        pytest.skip("INTERAREA_WINE32 names no command that runs 32-bit Windows programs")
+    return Emulator(tuple(shlex.split(command)), {"WINEDEBUG": "-all"})
+
+
+@pytest.fixture(scope="module")
+def blocks(cache: Path) -> dict[str, Block | Chain]:
+    """Return a block of each kind, and a chain."""
     case = load_case("two-area-thesis")
-    controller = controller_of("robust", case, cache)
-    assert controller is not None
-    block = controller.block(case.omega_b) if kind == "controller" else channel_block(capacity=512)
+    robust, bank = (controller_of(name, case, cache) for name in ("robust", "active"))
+    assert robust is not None and bank is not None
+    controller, channel, pmu = robust.block(case.omega_b), channel_block(capacity=512), pmu_block(capacity=64)
+    members = {"pmu": pmu, "remote": channel, "controller": controller}
+    chain = Chain("wide", members, [("pmu.deviation", "remote.u"), ("remote.y", "controller.G2_dw")])
+    supervisor = bank.block(case.omega_b)
+    return {
+        "controller": controller,
+        "supervisor": supervisor,
+        "channel": channel,
+        "pmu": pmu,
+        "chain": chain,
+    }
+
+
+@pytest.mark.parametrize("kind", ["controller", "supervisor", "channel", "pmu", "chain"])
+@pytest.mark.parametrize("name", ["win64", "win32"])
+def test_a_windows_dll_has_the_bits_of_the_linux_one(
+    name: str, kind: str, blocks: dict[str, Block | Chain], tmp_path: Path, cache: Path
+) -> None:
     rows = {}
+    channel = CHANNEL if kind == "channel" else [f"remote_{p}" for p in CHANNEL] if kind == "chain" else ()
     for platform in ("linux64", name):
-        emulator = emulator_of("linux64" if platform == "linux64" else "win64", tmp_path)
-        library = build_dll(block, tmp_path, platform=platform, sample_time_s=STEP, cache=cache)
-        command = [
-            *emulator.command,
-            str(host(platform, tmp_path, cache)),
-            str(library),
-            str(STEP),
-            str(COUNT),
-        ]
+        tool = emulator(platform, tmp_path)
+        library = build_dll(blocks[kind], tmp_path, platform=platform, sample_time_s=STEP, cache=cache)
+        program = host(platform, tmp_path, cache)
         done = subprocess.run(
-            [*command, *(CHANNEL if kind == "channel" else ())],
-            env={**os.environ, **emulator.environment},
+            [*tool.command, str(program), str(library), str(STEP), str(COUNT), *channel],
+            env={**os.environ, **tool.environment},
             capture_output=True,
             text=True,
             check=False,
-            timeout=400,
+            timeout=800,
         )
         assert done.returncode == 0, done.stderr
         rows[platform] = done.stdout.split()

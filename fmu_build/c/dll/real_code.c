@@ -3,7 +3,8 @@
  * Called at time t with inputs u(t), Model_Outputs goes from the time of the last call to t, inputs along the
  * straight line between the two calls, and gives the outputs at t: no sample late. Called again at the same
  * time it does not go on. The members of a chain go one after the other, each with the outputs that those before
- * it have at t, as if a tool called their DLLs in that order. What changes during a run lies in the arrays of the tool, nothing anywhere else:
+ * it have at t, as if a tool called their DLLs in that order. What changes during a run lies in the arrays of the
+ * tool, nothing anywhere else:
  *   double states   of each member the piece that an FMU state carries; room to take a step back; scratch
  *   int states      a tag that says whose arrays they are; the text of the last message; integer variables
  * Tables below are written while the library is loaded and only read afterwards.                          */
@@ -230,12 +231,8 @@ static void integers(Call *call, int into_tool)
         int32_t *const kept = call->tool->int_states + model.member[k].integers;
         const size_t size = c->n_integer * sizeof(int);
 
-        if (into_tool) {
-            memcpy(kept, c->integer, size);
-            memset(c->integer, 0, size);
-        } else {
-            memcpy(c->integer, kept, size);
-        }
+        memcpy(into_tool ? (void *)kept : c->integer, into_tool ? (const void *)c->integer : kept, size);
+        if (into_tool) memset(c->integer, 0, size);
     }
 }
 
@@ -257,48 +254,45 @@ static void set(Call *call, const Port *port, const char *name, double value)
     }
 }
 
-static double value_of(Call *call, int32_t member, int32_t integer, int32_t reference)
+static double held(const Call *call, Port port)
 {
-    Instance *c = &call->instance[member];
-
-    if (c->run->mode != MODE_INSTANTIATED) (void)instance_refresh_outputs(c, 0, "");
-    return integer ? (double)c->integer[reference] : c->real[reference];
+    const Instance *c = &call->instance[port.member];
+    return port.integer ? (double)c->integer[port.reference] : c->real[port.reference];
 }
 
-static double value_at(Call *call, const Port *port)
+/* An output as it is at the time of the call. */
+static double output(Call *call, Port port)
 {
-    return value_of(call, port->member, port->integer, port->reference);
+    (void)instance_refresh_outputs(&call->instance[port.member], 0, "");
+    return held(call, port);
 }
+
+typedef struct { Port port; const char *name; double value; } Input;
 
 /* An input of member k as it is at the time of the call: the i-th of the tool's, or, behind those, of the wires.
  * Returns 0 where that is none of its inputs. */
-static int input(Call *call, int32_t k, size_t i, Port *port, const char **name, double *value)
+static int input(Call *call, int32_t k, size_t i, Input *input)
 {
     const size_t n = (size_t)model.info.n_inputs;
 
     if (i < n) {
-        *port = model.ports[i];
-        *name = model.inputs[i].name;
-        *value = ((const double *)call->tool->inputs)[i];
-        return port->member == k;
+        *input = (Input){model.ports[i], model.inputs[i].name, ((const double *)call->tool->inputs)[i]};
+        return input->port.member == k;
     }
     const Wire *wire = &model.wires[i - n];
     if (wire->target != k) return 0;
-    *port = (Port){wire->integer, wire->to, 0, k};
-    *name = "a wire";
-    *value = value_of(call, wire->source, wire->integer, wire->from);
+    const Port from = {wire->integer, wire->from, 0, wire->source}, to = {wire->integer, wire->to, 0, k};
+    *input = (Input){to, "a wire", output(call, from)};
     return 1;
 }
 
 static void set_inputs(Call *call, int32_t k)
 {
     const size_t n = (size_t)model.info.n_inputs + model.n_wires;
-    const char *name;
-    double value;
-    Port port;
+    Input in;
 
     for (size_t i = 0; i < n && call->worst < REAL_CODE_ERROR; ++i)
-        if (input(call, k, i, &port, &name, &value)) set(call, &port, name, value);
+        if (input(call, k, i, &in)) set(call, &in.port, in.name, in.value);
 }
 
 /* Parameters of member k that the tool has changed; once it runs, only those that may be. */
@@ -309,10 +303,9 @@ static void set_parameters(Call *call, int32_t m)
 
     for (int32_t k = 0; k < model.info.n_parameters && call->worst < REAL_CODE_ERROR; ++k) {
         if (port[k].member != m) continue;
-        const Instance *c = &call->instance[m];
-        const double is = port[k].integer ? (double)c->integer[port[k].reference] : c->real[port[k].reference];
+        const double is = held(call, port[k]);
         if (p[k] == is) continue;
-        if (port[k].fixed && c->run->mode != MODE_INSTANTIATED)
+        if (port[k].fixed && call->instance[m].run->mode != MODE_INSTANTIATED)
             (void)say(call, REAL_CODE_MESSAGE, "%s was changed to %.9g during the run and stays at %.9g: it counts "
                       "at the start only", model.parameters[k].name, p[k], is);
         else
@@ -335,11 +328,11 @@ static void start(Call *call, int trial)
     }
 }
 
-static int32_t refuse(RealCodeInstance *tool, const char *why)
+static int32_t answer(RealCodeInstance *tool, int32_t code, const char *error)
 {
     tool->message = "";
-    tool->error = why;
-    return REAL_CODE_ERROR;
+    tool->error = error;
+    return code;
 }
 
 EXPORTED const RealCodeInfo *Model_GetInfo(void)
@@ -347,22 +340,16 @@ EXPORTED const RealCodeInfo *Model_GetInfo(void)
     return model.ready ? &model.info : NULL;
 }
 
-static int32_t done(RealCodeInstance *tool)
-{
-    tool->error = tool->message = "";
-    return REAL_CODE_OK;
-}
-
 EXPORTED int32_t Model_FirstCall(RealCodeInstance *tool)
 {
-    return done(tool);
+    return answer(tool, REAL_CODE_OK, "");
 }
 
 EXPORTED int32_t Model_CheckParameters(RealCodeInstance *tool)
 {
     Call call;
 
-    if (!model.ready) return refuse(tool, "this library was not completed by an export");
+    if (!model.ready) return answer(tool, REAL_CODE_ERROR, "this library was not completed by an export");
     enter(&call, tool, 1);
     start(&call, 1);
     return call.worst;
@@ -373,13 +360,13 @@ EXPORTED int32_t Model_Initialize(RealCodeInstance *tool)
     const double *y = tool->outputs;
     Call call;
 
-    if (!model.ready) return refuse(tool, "this library was not completed by an export");
+    if (!model.ready) return answer(tool, REAL_CODE_ERROR, "this library was not completed by an export");
     enter(&call, tool, 0);
     memset(tool->double_states, 0, (size_t)model.info.n_double * sizeof(double));
     start(&call, 0);
     for (int32_t k = 0; k < model.info.n_outputs && call.worst < REAL_CODE_ERROR; ++k) {
         const Port *port = &model.ports[model.info.n_inputs + k];
-        const double own = value_at(&call, port);
+        const double own = output(&call, *port);
         if (!port->integer && !(fabs(y[k] - own) <= 1e-6 * fmax(1.0, fabs(own))))
             (void)say(&call, REAL_CODE_MESSAGE, "output %s starts at %.9g, not at the %.9g that the tool has given it",
                       model.outputs[k].name, own, y[k]);
@@ -394,14 +381,12 @@ static void advance(Call *call, int32_t k, double length)
 {
     const size_t n = (size_t)model.info.n_inputs + model.n_wires;
     Instance *c = &call->instance[k];
-    const char *name;
-    double value;
-    Port port;
+    Input in;
 
     for (size_t i = 0; i < n && !c->sampled && call->worst < REAL_CODE_ERROR; ++i) {
-        if (!input(call, k, i, &port, &name, &value) || port.integer) continue;
-        const fmi2ValueReference r = (fmi2ValueReference)port.reference;
-        const double slope = (value - c->real[r]) / length;
+        if (!input(call, k, i, &in) || in.port.integer) continue;
+        const fmi2ValueReference r = (fmi2ValueReference)in.port.reference;
+        const double slope = (in.value - c->real[r]) / length;
         const int order = 1;
         (void)fmi2SetRealInputDerivatives(c, &r, 1, &order, &slope);
     }
@@ -413,7 +398,7 @@ static void give_outputs(Call *call)
     double *y = call->tool->outputs;
 
     for (int32_t k = 0; k < model.info.n_outputs && call->worst < REAL_CODE_ERROR; ++k) {
-        const double value = value_at(call, &model.ports[model.info.n_inputs + k]);
+        const double value = output(call, model.ports[model.info.n_inputs + k]);
         if (call->worst < REAL_CODE_ERROR) y[k] = value;
     }
 }
@@ -423,12 +408,14 @@ EXPORTED int32_t Model_Outputs(RealCodeInstance *tool)
     const double *u = tool->inputs;
     Call call;
 
-    if (!model.ready) return refuse(tool, "this library was not completed by an export");
+    if (!model.ready) return answer(tool, REAL_CODE_ERROR, "this library was not completed by an export");
     if (tool->int_states[I_TAG] != model.tag)
-        return refuse(tool, "Model_Initialize was not called, or the states are those of another model");
+        return answer(tool, REAL_CODE_ERROR,
+                      "Model_Initialize was not called, or the states are those of another model");
     enter(&call, tool, 0);
     integers(&call, 0);
-    const double before = call.instance[0].run->time, length = tool->time - before, slack = 1e-6 * model.info.sample_time;
+    const double before = call.instance[0].run->time, length = tool->time - before;
+    const double slack = 1e-6 * model.info.sample_time;
     for (int32_t k = 0; k < model.info.n_inputs; ++k)
         if (!isfinite(u[k]))
             (void)say(&call, REAL_CODE_ERROR, "input %s is %g at time %.9g s; a finite value is needed",
@@ -448,12 +435,12 @@ EXPORTED int32_t Model_Outputs(RealCodeInstance *tool)
 /* Of RMS tools, after Model_Outputs: the outputs are right already. */
 EXPORTED int32_t Model_Iterate(RealCodeInstance *tool)
 {
-    return done(tool);
+    return answer(tool, REAL_CODE_OK, "");
 }
 
 EXPORTED int32_t Model_Terminate(RealCodeInstance *tool)
 {
-    return done(tool);
+    return answer(tool, REAL_CODE_OK, "");
 }
 
 EXPORTED int32_t Model_PrintInfo(void)
