@@ -93,18 +93,25 @@ def build_dll(
     to, path = DLL_PLATFORMS[platform], Path(path)
     if path.is_dir():
         path = path / f"{block.name}{to.suffix}"
-    record = pack_record(_entries(block, sample_time_s))
+    record = pack_record(entries_of(block, sample_time_s))
     sources = chain_sources() if isinstance(block, Chain) else block.sources
     library = compile_for(
         f"{block.kind}-dll", dll_sources(sources, len(record)), to, cache=cache
     ).read_bytes()
-    at = library.find(_MARK)
-    if at < 0 or library.count(_MARK) != 1:
-        raise BuildError(
-            f"the library of {block.kind} has {library.count(_MARK)} places for a record, wanted: 1"
-        )
-    begin = at + len(_MARK)
-    return write_whole(path, library[:begin] + record + library[begin + len(record) :])
+    return write_whole(path, completed(library, record))
+
+
+def completed(library: bytes, record: bytes) -> bytes:
+    """Return a library with the record in its place.
+
+    Raises
+    ------
+    BuildError : no such place, or two.
+    """
+    if library.count(_MARK) != 1:
+        raise BuildError(f"the library has {library.count(_MARK)} places for a record, wanted: 1")
+    begin = library.index(_MARK) + len(_MARK)
+    return library[:begin] + record + library[begin + len(record) :]
 
 
 def dll_sources(block: Sequence[Path], record_size: int) -> dict[str, bytes]:
@@ -214,8 +221,8 @@ def _check(block: Block | Chain, groups: Sequence[list[_Port]]) -> None:
             )
 
 
-def _entries(block: Block | Chain, sample_time_s: float) -> dict[str, npt.ArrayLike | bytes]:
-    """The record: what Model_GetInfo tells, and the records of the members (c/dll/real_code.c)."""
+def entries_of(block: Block | Chain, sample_time_s: float) -> dict[str, npt.ArrayLike | bytes]:
+    """Return the record: what Model_GetInfo tells, and the records of the members (c/dll/real_code.c)."""
     groups = _ports(block)
     _check(block, groups)
     chain = block if isinstance(block, Chain) else Chain(block.name, {block.name: block})

@@ -422,9 +422,9 @@ EXPORTED int32_t Model_Outputs(RealCodeInstance *tool)
                       model.inputs[k].name, u[k], tool->time);
     if (!(length >= -slack))
         (void)say(&call, REAL_CODE_ERROR, "time is %.9g s, before the %.9g s of the last call", tool->time, before);
+    for (int32_t k = 0; k < model.n_members && call.worst < REAL_CODE_ERROR; ++k) set_parameters(&call, k);
     for (int32_t k = 0; k < model.n_members && call.worst < REAL_CODE_ERROR; ++k) {
-        set_parameters(&call, k);
-        if (call.worst < REAL_CODE_ERROR && length > slack) advance(&call, k, length);
+        if (length > slack) advance(&call, k, length);
         set_inputs(&call, k);
     }
     give_outputs(&call);
