@@ -49,9 +49,11 @@ def example(source: str, folder: Path, cache: Path, step_s: float = 0.005) -> Pa
     text = (DLL / source).read_text(encoding="utf-8", errors="replace")
     own = ".FixedStepBaseSampleTime = 0.005"
     assert step_s == 0.005 or own in text
-    copy = folder / Path(source).name
+    copy = folder / f"{step_s:g}" / Path(source).name  # a loader takes the same path for the same library
+    copy.parent.mkdir(exist_ok=True)
     copy.write_text(text.replace(own, f".FixedStepBaseSampleTime = {step_s:g}"), encoding="utf-8")
-    linux = ["-D__declspec(x)=", "-D__cdecl=", "-Dsprintf_s=snprintf"]
+    (copy.parent / "windows.h").touch()  # one of them includes it, none needs it
+    linux = [f"-I{copy.parent}", "-D__declspec(x)=", "-D__cdecl=", "-Dsprintf_s=snprintf"]
     path = copy.with_suffix(".so")
     compiled(["-shared", "-fPIC", *linux, str(copy), "-o", str(path), "-lm"], "x86_64-linux-gnu.2.17", cache)
     return path
@@ -124,7 +126,7 @@ def test_scrx9_is_our_scrx_but_for_its_trapezoidal_rule(tmp_path: Path, cache: P
 
 @pytest.mark.parametrize("name", ["win64", "win32"])
 def test_their_test_program_runs_our_dll(name: str, tmp_path: Path, cache: Path) -> None:
-    """A controller of ours with the ports of SCRX9, in the unchanged test program; the file that it writes."""
+    """A controller of ours with the ports of SCRX9, in the unchanged test program, by its file."""
     A, B = np.array([[-2.0]]), np.array([[0.0, -1.0, 0.0, 0.0, 0.5, 0.0, 0.0]])
     block = controller_block("SCRX9", A, B, [[1.0]], np.zeros((1, 7)), INPUTS, ["EFD"], limit=5.0)
     command = os.environ.get("INTERAREA_WINE32", "").split()
