@@ -76,15 +76,15 @@ def by_dll(path: Path, step_s: float, dip: float) -> np.ndarray:
     model = RealCode(RealCodeLibrary(path))
     model.outputs["EFD"] = 1.0
 
-    def told(t: float) -> None:
+    def set_inputs(t: float) -> None:
         for name, value in zip(INPUTS, (1.0, fault(t, dip), 0.0, 0.0, fault(t, dip), -5.0, 5.0), strict=True):
             model.inputs[name] = value
 
-    told(0.0)
+    set_inputs(0.0)
     assert model.call("Model_Initialize", 0.0) < ERROR
     rows = []
     for k in range(round(5.0 / step_s) + 1):
-        told(k * step_s)
+        set_inputs(k * step_s)
         assert model.call("Model_Outputs", k * step_s) < ERROR
         rows.append(model.outputs["EFD"])
     return np.array(rows)

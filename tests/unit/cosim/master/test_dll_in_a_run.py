@@ -118,10 +118,11 @@ def test_what_is_wrong_with_a_dll_is_one_error(robust: Path, tmp_path: Path, cac
     system = System(stop_s=1.0, step_s=0.01, cache=cache)
     with pytest.raises(GraphError, match=r"no 'limmit' in robust\.so"):
         system.fmu("mine", robust, start={"limmit": 1.0}).run()
-    text = tmp_path / "text.so"
-    text.write_text("hello")
-    with pytest.raises(FmuFileError, match="the system cannot load it"):
-        System(stop_s=1.0, cache=cache).fmu("mine", text)
+    for name, content in (("text.so", b"hello"), ("windows.dll", b"MZ" + bytes(62)), ("empty.so", b"")):
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(FmuFileError, match="the system cannot load it") as refused:
+            System(stop_s=1.0, cache=cache).fmu("mine", tmp_path / name)
+        assert "\n" not in str(refused.value)
     with pytest.raises(FmuFileError, match="no IEEE/CIGRE DLL: it does not have Model_GetInfo"):
         System(stop_s=1.0, cache=cache).fmu(
             "mine", compiled("NO_INTERFACE", tmp_path, ["-DModel_GetInfo=other"])

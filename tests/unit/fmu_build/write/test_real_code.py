@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import pickle
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -232,27 +233,33 @@ def test_instances_side_by_side_are_as_alone_and_a_snapshot_goes_on_elsewhere(
 ) -> None:
     values = {port_name(name): value for name, value in PARAMETERS[kind].items()}
     alone = start(RealCode(library(kind), values))
-    rows = [step(alone, k * STEP) for k in range(1, 101)]
-    many = [start(RealCode(library(kind), values)) for _ in range(20)]
-    for k, row in enumerate(rows[:50], start=1):
+    rows = [step(alone, k * STEP) for k in range(1, 81)]
+    many = [start(RealCode(library(kind), values)) for _ in range(200)]
+    saved = {0: many[7].snapshot()}
+    for k, row in enumerate(rows[:20], start=1):
         assert all(step(model, k * STEP) == row for model in many)
-    saved = tmp_path / "snapshot"
-    saved.write_bytes(many[7].snapshot())
+        saved[k] = many[7].snapshot()
+    for model in many[:100:10]:  # the others stay where they are
+        assert [step(model, k * STEP) for k in range(21, 81)] == rows[20:]
+    file = tmp_path / "snapshots"
+    file.write_bytes(pickle.dumps(saved))
     program = (
-        "import sys; from pathlib import Path; from test_real_code import *\n"
+        "import pickle, sys; from pathlib import Path; from test_real_code import *\n"
         "model = RealCode(RealCodeLibrary(sys.argv[1]), eval(sys.argv[3]))\n"
-        "model.restore(Path(sys.argv[2]).read_bytes())\n"
-        "print([step(model, k * STEP) for k in range(51, 101)])\n"
+        "for call, saved in pickle.loads(Path(sys.argv[2]).read_bytes()).items():\n"
+        "    model.restore(saved)\n"
+        "    print([step(model, k * STEP) for k in range(call + 1, 81)])\n"
     )
     done = subprocess.run(
-        [sys.executable, "-c", program, str(many[0].library.path), str(saved), repr(values)],
+        [sys.executable, "-c", program, str(many[0].library.path), str(file), repr(values)],
         capture_output=True,
         text=True,
         check=True,
         env={"PYTHONPATH": f"{Path(__file__).parent}:{Path(__file__).parents[3]}", "PATH": ""},
-        timeout=60,
+        timeout=120,
     )
-    assert eval(done.stdout) == rows[50:]
+    for call, line in enumerate(done.stdout.splitlines()):
+        assert eval(line) == rows[call:], f"snapshot after call {call}"
 
 
 def test_what_a_tool_does_wrong_is_refused_in_words(library) -> None:  # type: ignore[no-untyped-def]
