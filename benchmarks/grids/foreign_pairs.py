@@ -57,26 +57,26 @@ def units_of_raw(path: Path) -> set[tuple[int, str]]:
 
 def pairs(folders: Sequence[Path]) -> list[tuple[Path, Path]]:
     """Return (RAW, DYR) of each pair, each of its contents once."""
-    found: dict[str, tuple[Path, Path]] = {}
+    rows: dict[str, tuple[Path, Path]] = {}
     for dyr in (path for folder in folders for path in grids(folder, ".dyr")):
         wanted = units_of_dyr(dyr)
         places = (dyr.parent, dyr.parent.parent / "raw", dyr.parent.parent / "psse_raw", dyr.parent.parent)
         for place in places:
             raws = [path for path in grids(place, ".raw") if path.parent == place] if place.is_dir() else []
             if wanted and raws:
-                shared, _, raw = max((_shared(wanted, units_of_raw(r)), _alike(r, dyr), r) for r in raws)
+                shared, _, raw = max((_shared(wanted, units_of_raw(r)), _same_rows(r, dyr), r) for r in raws)
                 if shared > 0.5:
                     digest = hashlib.sha256(_content(raw) + _content(dyr)).hexdigest()
-                    found.setdefault(digest, (raw, dyr))
+                    rows.setdefault(digest, (raw, dyr))
                     break
-    return list(found.values())
+    return list(rows.values())
 
 
 def _shared(one: set[tuple[int, str]], other: set[tuple[int, str]]) -> float:
     return len(one & other) / len(one | other)
 
 
-def _alike(one: Path, other: Path) -> float:
+def _same_rows(one: Path, other: Path) -> float:
     return SequenceMatcher(None, one.name.lower(), other.name.lower()).ratio()
 
 

@@ -112,7 +112,7 @@ def _margins_at(
         return []
     returned = _returned(plant, K, signals)
     grid = _grid(plant, K, signals)
-    R = returned(1j * grid)
+    R = returned(np.asarray(1j * grid, dtype=np.complex128))
     L = _cut(R)
     margins = []
     if len(signals) > 1:

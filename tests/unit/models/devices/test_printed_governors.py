@@ -59,9 +59,9 @@ def case_with(records: str, folder: Path, machine: str = f"{MACHINE} 0 1") -> Ca
 @pytest.mark.slow
 @pytest.mark.parametrize("record", PRINTED, ids=("gate", "power", "WPIDHY"))
 def test_the_eigenvalues_are_those_printed(record: str, tmp_path: Path) -> None:
-    found = np.linalg.eigvals(state_matrix(case_with(SEXS + record, tmp_path), default_cache()))
+    rows = np.linalg.eigvals(state_matrix(case_with(SEXS + record, tmp_path), default_cache()))
     for printed in map(complex, PRINTED[record].split()):
-        assert np.abs(found - printed).min() < 2e-8 * max(1.0, abs(printed))
+        assert np.abs(rows - printed).min() < 2e-8 * max(1.0, abs(printed))
 
 
 def test_the_exciter_with_field_current_regulator_rests_as_printed(tmp_path: Path) -> None:
