@@ -64,7 +64,7 @@ def pairs(folders: Sequence[Path]) -> list[tuple[Path, Path]]:
         for place in places:
             raws = [path for path in grids(place, ".raw") if path.parent == place] if place.is_dir() else []
             if wanted and raws:
-                shared, _, raw = max((_shared(wanted, units_of_raw(r)), _same_rows(r, dyr), r) for r in raws)
+                shared, _, raw = max((_shared(wanted, units_of_raw(r)), _likeness(r, dyr), r) for r in raws)
                 if shared > 0.5:
                     digest = hashlib.sha256(_content(raw) + _content(dyr)).hexdigest()
                     rows.setdefault(digest, (raw, dyr))
@@ -76,7 +76,7 @@ def _shared(one: set[tuple[int, str]], other: set[tuple[int, str]]) -> float:
     return len(one & other) / len(one | other)
 
 
-def _same_rows(one: Path, other: Path) -> float:
+def _likeness(one: Path, other: Path) -> float:
     return SequenceMatcher(None, one.name.lower(), other.name.lower()).ratio()
 
 

@@ -106,9 +106,7 @@ def curve_figure(rows: Sequence[CurvePoint], over: str, margins: Sequence[Mappin
             x = [factor * row.value for row in own]
             y = [row.worst_swing for row in own]
             axes.plot(x, y, color=color, linestyle=DASHES[k % len(DASHES)], label=name)
-            met = next(margin for margin in margins if margin["signal"] == name) if margins else {}
-            kinds = ("delay",) if over == LATENCY else ("lower", "upper")
-            at = [factor * met[kind]["value"] for kind in kinds if met.get(kind)]
+            at = [factor * value for value in _contacts(name, over, margins)]
             inside = [value for value in at if min(x) <= value <= max(x)]
             axes.plot(inside, [0.0] * len(inside), "o", color=color, markersize=4)
         axes.axhline(0.0, color=INK, linewidth=0.6)
@@ -116,6 +114,13 @@ def curve_figure(rows: Sequence[CurvePoint], over: str, margins: Sequence[Mappin
         axes.set_ylabel("least damping ratio")
         axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=7)
     return figure
+
+
+def _contacts(signal: str, over: str, margins: Sequence[Mapping[str, Any]]) -> list[float]:
+    """Return the latencies (s) or scales at which a root of the loop meets the axis."""
+    met = next(margin for margin in margins if margin["signal"] == signal) if margins else {}
+    kinds = ("delay",) if over == LATENCY else ("lower", "upper")
+    return [met[kind]["value"] for kind in kinds if met.get(kind)]
 
 
 def write_tolerance(

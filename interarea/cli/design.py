@@ -289,12 +289,16 @@ def certify(
         if page is not None:
             typer.echo(page)
         if not acceptance:
-            from interarea.cosim.designs.certificate_words import first_failures, kept_certificate
-
-            known = kept_certificate(controller, table.grid.hash) or loaded.certificate
-            typer.echo(f"on record: {first_failures(known)}")
+            _show_record(controller, loaded, table)
     if not certificate.passed:
         raise typer.Exit(1)
+
+
+def _show_record(name: str, loaded: Controller, table: DesignTable) -> None:
+    from interarea.cosim.designs.certificate_words import first_failures, kept_certificate
+
+    known = kept_certificate(name, table.grid.hash) or loaded.certificate
+    typer.echo(f"on record: {first_failures(known)}")
 
 
 def _certified(

@@ -101,14 +101,18 @@ def import_psse(
         converters={names.index(n) for n in dynamics.converters},
         svcs={names.index(n) for n in dynamics.svcs},
     )
-    for table, rows in (("converters", dynamics.converters), ("svcs", dynamics.svcs)):
-        for key, row in rows.items():
-            document[table][key] |= row
-    for key, row in dynamics.rows.items():
-        document["machines"][key] |= row
+    _take_rows(document, dynamics)
     document["devices"] = provided["devices"]
     lines = {name: unit.where for name, unit in zip(names, grid.units, strict=True)} | dynamics.where
     return Imported(_case_with_lines(document, str(path), lines), report, solution)
+
+
+def _take_rows(document: dict[str, Any], dynamics: Dynamics) -> None:
+    """Put what the DYR file says of each machine, converter and SVC into its row."""
+    tables = {"converters": dynamics.converters, "svcs": dynamics.svcs, "machines": dynamics.rows}
+    for table, rows in tables.items():
+        for key, row in rows.items():
+            document[table][key] |= row
 
 
 def _compare_reactances(grid: StaticGrid, names: Sequence[str], dynamics: Dynamics, report: Report) -> None:
