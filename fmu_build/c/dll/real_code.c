@@ -300,7 +300,6 @@ static void set_parameters(Call *call, int32_t m)
 {
     const Port *port = model.ports + model.info.n_inputs + model.info.n_outputs;
     const double *p = call->tool->parameters;
-
     for (int32_t k = 0; k < model.info.n_parameters && call->worst < REAL_CODE_ERROR; ++k) {
         if (port[k].member != m) continue;
         const double is = held(call, port[k]);
@@ -382,7 +381,6 @@ static void advance(Call *call, int32_t k, double length)
     const size_t n = (size_t)model.info.n_inputs + model.n_wires;
     Instance *c = &call->instance[k];
     Input in;
-
     for (size_t i = 0; i < n && !c->sampled && call->worst < REAL_CODE_ERROR; ++i) {
         if (!input(call, k, i, &in) || in.port.integer) continue;
         const fmi2ValueReference r = (fmi2ValueReference)in.port.reference;
@@ -396,9 +394,11 @@ static void advance(Call *call, int32_t k, double length)
 static void give_outputs(Call *call)
 {
     double *y = call->tool->outputs;
-
     for (int32_t k = 0; k < model.info.n_outputs && call->worst < REAL_CODE_ERROR; ++k) {
         const double value = output(call, model.ports[model.info.n_inputs + k]);
+        if (!isfinite(value))
+            (void)say(call, REAL_CODE_ERROR, "output %s is %g at time %.9g s; give smaller inputs",
+                      model.outputs[k].name, value, call->tool->time);
         if (call->worst < REAL_CODE_ERROR) y[k] = value;
     }
 }
