@@ -142,7 +142,8 @@ def test_their_test_program_runs_our_dll(name: str, tmp_path: Path, cache: Path)
     emulator = emulator_of("win64", tmp_path)
     sources = [DLL / "scrx9" / "test_scrx9.c", DLL / "wrapper" / "IEEE_Cigre_DLLWrapper.c"]
     program = tmp_path / "test.exe"
-    compiled([*map(str, sources), "-o", str(program)], DLL_PLATFORMS[name].targets[0], cache)
+    words = ["-include", "stddef.h", *map(str, sources)]  # which MinGW's windows.h does not bring
+    compiled([*words, "-o", str(program)], DLL_PLATFORMS[name].targets[0], cache)
     build_dll(block, tmp_path / "SCRX9.dll", platform=name, sample_time_s=0.005, cache=cache)
     done = subprocess.run(
         [*(command if name == "win32" else emulator.command), "test.exe"],
