@@ -52,7 +52,7 @@ def compare(
 
     stages = {compared_name(c): c for c in controllers}
     with stage_progress(controllers) as progress:
-        result = compare_runs(controllers, loaded, progress=lambda name, done: progress(stages[name], done))
+        result = compare_runs(controllers, scenario, progress=lambda name, done: progress(stages[name], done))
     files: list[Path] = []
     if out is not None:
         command = ["interarea", "compare", *controllers, "--scenario", scenario, "--out", str(out)]
