@@ -137,7 +137,7 @@ def compare(
     --------
     >>> found = compare(["none", "robust"], "lost-signal")
     >>> found.to_frame().least_damping_ratio.round(3).to_dict()
-    {'none': 0.081, 'robust': 0.27}
+    {'none': 0.081, 'robust': 0.245}
     """
     from interarea.cosim.designs.worth import worth_at
     from interarea.cosim.run.compare import compare_controllers, compared_name, folder_from
