@@ -26,6 +26,7 @@ from ..errors import ScenarioError
 from .design_file import DESIGN_STEPS, DesignTable, design_record, run_design
 from .design_tables import MemberTable, PartTable
 from .family import family_plants
+from .worth import clearing_change
 
 ALL = "all"  #: the member that sees all signals
 PROOF = "proof of switching"  #: the last step of `run_bank_design`
@@ -159,18 +160,29 @@ def bank_plants(table: DesignTable, cache: Path) -> dict[str, control.StateSpace
     return plants
 
 
-def bank_worth(table: DesignTable, bank: ControllerBank, cache: Path) -> SignalWorth:
-    """Return what the signals from afar are worth, beside the member of the own machines' signals alone."""
+def bank_worth(
+    table: DesignTable, bank: ControllerBank, cache: Path, *, clearing: bool = False
+) -> SignalWorth:
+    """Return what the signals from afar are worth, beside the member of the own machines' signals alone.
+
+    clearing : clearing times of the design's acceptance too, of that member behind the guard of the bank.
+    """
     plants = family_plants(table, cache)
     own = {s for signals in own_signals(bank.outputs, bank.inputs).values() for s in signals}
     alone = next((m for m in bank.members if set(m.inputs) <= own), None)
-    return signal_worth(
+    worth = signal_worth(
         {name: each.judged for name, each in plants.items()},
         bank.acting(()).system,
         table.family(),
         None if alone is None else alone.system,
         bands_hz={name: inter_area_band(each.modes) for name, each in plants.items()},
     )
+    if not clearing or table.acceptance is None or alone is None:
+        return worth
+    watched = None if table.guard is None else table.guard.of(set(alone.inputs))
+    guard = None if watched is None else watched.guard()
+    guarded = replace(alone, limit_pu=bank.limit_pu, guard=guard)
+    return worth.with_clearing(clearing_change(table, bank, cache), clearing_change(table, guarded, cache))
 
 
 def bank_margins(table: DesignTable, bank: ControllerBank, cache: Path) -> tuple[dict[str, Any], ...]:

@@ -44,7 +44,10 @@ class ShortDesign:
     @property
     def sentence(self) -> str:
         """What the signals from afar are worth in these loops."""
-        message = f"inter-area {self.damping:.3f} against {self.own:.3f} with the own machines' speeds alone"
+        message = (
+            f"inter-area {self.damping:.3f} against {self.own:.3f} with the own machines' speeds alone; "
+            "clearing times not searched"
+        )
         if self.damping - self.own >= PAYS:
             return f"the link buys {self.damping - self.own:.3f}, {message}"
         return f"a local stabilizer does as well: do not build this link; {message}"

@@ -26,9 +26,10 @@ from interarea.models.case.case import Case
 
 from ..errors import ScenarioError
 from .acceptance import Trial, settings_of
-from .design_file import DesignTable, run_design
+from .design_file import DesignTable, run_design, specification_of
 from .design_tables import PartTable
 from .family import FamilyPlant, family_cases, family_plants
+from .fault_loops import ControllerOrBank
 from .first_swing import FaultTable, mean_outputs, uncontrolled_speeds
 
 #: key of a controller's design record under which its rival stands
@@ -134,8 +135,10 @@ def worth(
 ) -> SignalWorth:
     """Return what the signals of `controller` are worth on the family of a design.
 
-    rival : default that of its record. clearing : clearing times of the design's acceptance too (minutes).
+    rival : default that of its record. clearing : clearing times of the design's acceptance too (minutes);
+        else those that the same design left in the controller's record.
     """
+    cycles = {} if rival is not None else _recorded_cycles(table, controller)
     rival = rival if rival is not None else rival_on_record(controller)
     plants = family_plants(table, cache)
     K = controller.system
@@ -152,39 +155,52 @@ def worth(
         table, {"": K, OWN_MASKED: own_alone(K)} | ({} if rival is None else {OWN_RIVAL: rival.system}), cache
     )
     progress(0.5)
-    cycles: dict[str, float | None] = {}
     if clearing and table.acceptance is not None:
-        cycles[""] = _clearing(table, controller, cache)
+        cycles = {"": clearing_change(table, controller, cache)}
         if rival is not None:
-            cycles[OWN_RIVAL] = _clearing(table, rival, cache)
+            cycles[OWN_RIVAL] = clearing_change(table, rival, cache)
     progress(1.0)
 
     def filled(row: WorthRow, key: str) -> WorthRow:
-        return replace(row, common_rise=rises.get(key), clearing_cycles=cycles.get(key))
+        return replace(row, common_rise=rises.get(key))
 
     return replace(
         linear,
         whole=filled(linear.whole, ""),
         masked=tuple(filled(row, row.name) for row in linear.masked),
         rival=None if linear.rival is None else filled(linear.rival, OWN_RIVAL),
-    )
+    ).with_clearing(cycles.get(""), cycles.get(OWN_RIVAL))
+
+
+def _recorded_cycles(table: DesignTable, controller: Controller) -> dict[str, float | None]:
+    """Return the clearing times in a record, of controller and rival, where the design `table` found them."""
+    found = (controller.certificate or {}).get("worth")
+    if not found or not found.get("rival") or specification_of(controller) != table:
+        return {}
+    return {"": found["whole"]["clearing_cycles"], OWN_RIVAL: found["rival"]["clearing_cycles"]}
 
 
 def worth_at(
     case: Case, controller: Controller, cache: Path, *, latency_s_of: Mapping[str, float] | None = None
 ) -> SignalWorth:
-    """Return what the signals of `controller` are worth at one operating point, at these latencies (s)."""
+    """Return what the signals of `controller` are worth at one operating point, at these latencies (s).
+
+    Clearing times are those of its record, the mean over its design, where that is for this grid.
+    """
     K = controller.system
     plant = FamilyPlant.of(case, controller.inputs, controller.outputs, cache)
     late = {name: s for name, s in (latency_s_of or {}).items() if name in controller.inputs}
     rival = rival_on_record(controller)
-    return signal_worth(
+    found = signal_worth(
         {case.name: plant.judged},
         K,
         [Condition("as here", (), late)],
         None if rival is None else rival.system,
         bands_hz={case.name: inter_area_band(plant.modes)},
     )
+    own = specification_of(controller)
+    cycles = _recorded_cycles(own, controller) if own is not None and own.case == case.name else {}
+    return found.with_clearing(cycles.get(""), cycles.get(OWN_RIVAL))
 
 
 def has_rival(table: DesignTable) -> bool:
@@ -248,7 +264,7 @@ def _common_rises(
     return largest
 
 
-def _clearing(table: DesignTable, controller: Controller, cache: Path) -> float | None:
+def clearing_change(table: DesignTable, controller: ControllerOrBank, cache: Path) -> float | None:
     """Return the mean change of the clearing times against no control, cycles, nothing being lost.
 
     Over the points and faults of the acceptance at its first latency; ceilings and loads of the case.

@@ -21,6 +21,8 @@ from .operating_points import JudgedPlant, judge_family
 #: damping ratio that a link must add to the inter-area modes to pay: less is within what one search misses of
 #: the best (.008 between two searches for the same own signal, two areas)
 PAYS = 0.02
+#: cycles that a link must add to the mean clearing time to pay: twice what the searches resolve
+PAYS_CYCLES = 0.5
 
 
 @dataclass(frozen=True)
@@ -67,9 +69,18 @@ class SignalWorth:
         return None if self.rival is None or own is None else self.whole.inter_area - own.inter_area
 
     @property
+    def adds_cycles(self) -> float | None:
+        """What they add to the mean clearing time, cycles, over the rival; None where it was not searched."""
+        ours = self.whole.clearing_cycles
+        rivals = None if self.rival is None else self.rival.clearing_cycles
+        return None if ours is None or rivals is None else ours - rivals
+
+    @property
     def pays(self) -> bool | None:
-        """Whether that is at least `PAYS`; None without a rival."""
-        return None if self.adds is None else bool(self.adds >= PAYS)
+        """Whether they add `PAYS` of damping or `PAYS_CYCLES` of clearing time; None without a rival."""
+        if self.adds is None:
+            return None
+        return bool(self.adds >= PAYS or (self.adds_cycles or 0.0) >= PAYS_CYCLES)
 
     @property
     def sentence(self) -> str:
@@ -86,19 +97,34 @@ class SignalWorth:
         own = self.best_own
         if own is None or self.adds is None:
             return f"{link} buys stability: without it no controller of this order held every condition"
-        against = f"{whole.inter_area:.3f} against {own.inter_area:.3f} ({own.name})"
+        against = f"inter-area {whole.inter_area:.3f} against {own.inter_area:.3f} ({own.name})"
+        cycles = self.adds_cycles
+        if cycles is None:
+            against += "; clearing times not searched"
+        else:
+            assert self.rival is not None
+            against += (
+                f", clearing {whole.clearing_cycles:+.1f} against {self.rival.clearing_cycles:+.1f} cycles"
+            )
         if not self.pays:
-            return f"a local stabilizer does as well: do not build {link}; inter-area {against}"
-        more = [f"{link} buys {self.adds:.3f} of inter-area damping", against]
-        if whole.clearing_cycles is not None and own.clearing_cycles is not None:
-            more.append(f"{whole.clearing_cycles - own.clearing_cycles:+.1f} cycles of clearing time")
+            return f"a local stabilizer does as well: do not build {link}; {against}"
+        bought = [f"{self.adds:.3f} of inter-area damping"] if self.adds >= PAYS else []
+        if cycles is not None and (cycles >= PAYS_CYCLES or (bought and cycles > 0.0)):
+            bought.append(f"{cycles:.1f} cycles of clearing time")
+        more = [f"{link} buys {' and '.join(bought)}: {against}"]
         if whole.common_rise is not None and own.common_rise is not None:
             more.append(f"answer to the common rise {whole.common_rise:.3f} against {own.common_rise:.3f} pu")
         return ", ".join(more)
 
+    def with_clearing(self, ours: float | None, rivals: float | None) -> SignalWorth:
+        """Return it with the mean change of its clearing times, and of its rival's, cycles."""
+        rival = None if self.rival is None else replace(self.rival, clearing_cycles=rivals)
+        return replace(self, whole=replace(self.whole, clearing_cycles=ours), rival=rival)
+
     def as_dict(self) -> dict[str, Any]:
         """Return the record as JSON values."""
-        return {**asdict(self), "adds": self.adds, "pays": self.pays, "sentence": self.sentence}
+        found = {"adds": self.adds, "adds_cycles": self.adds_cycles, "pays": self.pays}
+        return {**asdict(self), **found, "sentence": self.sentence}
 
 
 OWN_MASKED, OWN_RIVAL = "own machines' signals, masked", "own machines' signals, designed anew"

@@ -45,7 +45,8 @@ def certify_bank(
     case, cache = table.grid, default_cache()
     with busy(f"certifying {bank.name}"):
         result = prove(plant_for_controllers(case, cache), bank)
-        rows, worth = judge_bank(table, bank, cache), bank_worth(table, bank, cache)
+        rows = judge_bank(table, bank, cache)
+        worth = bank_worth(table, bank, cache, clearing=acceptance)
         margins = bank_margins(table, bank, cache)
     tried = None
     if acceptance and table.acceptance is not None:

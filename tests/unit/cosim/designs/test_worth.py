@@ -6,16 +6,19 @@ import json
 from dataclasses import replace
 from typing import Any
 
+import control
 import pytest
 from typer.testing import CliRunner
 
 import interarea
 from interarea.cli.app import app
-from interarea.cosim.designs.design_file import load_design
-from interarea.cosim.designs.worth import rival_on_record, rival_table, worth
+from interarea.cosim.designs.design_file import load_design, specification_of
+from interarea.cosim.designs.worth import rival_on_record, rival_table, worth, worth_at
 from interarea.cosim.errors import ScenarioError
 from interarea.design.controllers.bundled import shipped_controller
 from interarea.fmu_build.write.cache import default_cache
+from interarea.models.case.case import load_case
+from interarea.models.errors import UserError
 
 
 @pytest.mark.parametrize(
@@ -112,3 +115,34 @@ def test_compare_says_it_for_each_controller() -> None:
     worths = json.loads(said.stdout)["worth"]
     assert list(worths) == ["robust"]
     assert "local stabilizer does as well" in worths["robust"]
+
+
+def test_clearing_times_on_record_count_where_the_same_design_found_them() -> None:
+    made = shipped_controller("robust_latency")
+    own = specification_of(made)
+    assert own is not None and made.certificate is not None
+    table = own.model_copy(update={"fault": None})  # another design: what it found is not known
+    point = own.point[:1]
+    assert worth(table.model_copy(update={"point": point}), made, default_cache()).adds_cycles is None
+    here = worth_at(own.grid, made, default_cache())
+    kept = made.certificate["worth"]
+    expected = kept["whole"]["clearing_cycles"] - kept["rival"]["clearing_cycles"]
+    assert here.adds_cycles == pytest.approx(expected)
+    assert f"{expected:.1f} cycles of clearing time: inter-area" in here.sentence
+    assert worth_at(load_case("kundur-pss"), made, default_cache()).adds_cycles is None
+
+
+def test_worth_of_signals_that_the_plant_lacks_is_a_line() -> None:
+    lacking = replace(shipped_controller("robust"), design={}, certificate=None)
+    K = lacking.system
+    renamed = control.ss(K.A, K.B, K.C, K.D, inputs=["G9_dw", "G4_dw"], outputs=K.output_labels)
+    with pytest.raises(UserError, match="unknown output 'G9_dw' of the plant") as caught:
+        worth_at(load_case("two-area-thesis"), replace(lacking, system=renamed), default_cache())
+    assert len(str(caught.value).splitlines()) == 1
+
+
+def test_one_signal_is_worth_what_the_controller_is() -> None:
+    rival = rival_on_record(shipped_controller("robust"))
+    assert rival is not None
+    said = worth_at(load_case("two-area-thesis"), rival, default_cache()).sentence
+    assert said.startswith("no signal comes from another machine: the controller itself buys +0.")

@@ -57,7 +57,7 @@ def test_outputs_that_share_states_are_masked_apart() -> None:
 @pytest.mark.parametrize(
     ("own", "afar", "rival", "said"),
     [
-        (0.0, 1.6, 0.4, "the link from B buys 0.150 of inter-area damping, 0.250 against 0.100"),
+        (0.0, 1.6, 0.4, "the link from B buys 0.150 of inter-area damping: inter-area 0.250 against 0.100"),
         (0.4, 1.2, 1.6, "a local stabilizer does as well: do not build the link from B"),
         (1.6, 0.0, None, "no signal comes from another machine: the controller itself buys +0.200"),
     ],
@@ -79,6 +79,35 @@ def test_the_sentence_says_what_the_closed_form_says(
         assert result.adds == pytest.approx((own + afar - max(rival, own)) / 8.0)
         (alone,) = (row for row in result.masked if row.name == OWN_MASKED)
         assert alone.inter_area == pytest.approx(0.05 + own / 8.0)
+
+
+@pytest.mark.parametrize(
+    ("own", "afar", "rival", "cycles", "said", "pays"),
+    [
+        (
+            0.0,
+            1.6,
+            0.4,
+            (1.9, 0.6),
+            "0.150 of inter-area damping and 1.3 cycles of clearing time: ",
+            True,
+        ),
+        (0.4, 1.2, 1.6, (1.9, 0.6), "the link from B buys 1.3 cycles of clearing time: ", True),
+        (0.4, 1.2, 1.6, (0.9, 0.6), "do not build the link from B; inter-area 0.250 against 0.250", False),
+        (0.0, 1.6, 0.4, (0.2, 0.6), "buys 0.150 of inter-area damping: ", True),
+    ],
+)
+def test_clearing_times_count(
+    own: float, afar: float, rival: float, cycles: tuple[float, float], said: str, pays: bool
+) -> None:
+    plant = {"base": _oscillator(0.05, (1.0, 1.0))}
+    found = signal_worth(plant, _gain(own, afar), [Condition("N")], _gain(rival, 0.0))
+    assert "clearing times not searched" in found.sentence
+    result = found.with_clearing(*cycles)
+    assert said in result.sentence
+    assert f"clearing {cycles[0]:+.1f} against {cycles[1]:+.1f} cycles" in result.sentence
+    assert result.pays is pays
+    assert result.as_dict()["adds_cycles"] == pytest.approx(cycles[0] - cycles[1])
 
 
 def test_a_rival_that_is_unstable_is_no_rival() -> None:
