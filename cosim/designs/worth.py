@@ -174,10 +174,10 @@ def worth(
 
 def _recorded_cycles(table: DesignTable, controller: Controller) -> dict[str, float | None]:
     """Return the clearing times in a record, of controller and rival, where the design `table` found them."""
-    found = (controller.certificate or {}).get("worth")
-    if not found or not found.get("rival") or specification_of(controller) != table:
+    recorded = (controller.certificate or {}).get("worth")
+    if not recorded or not recorded.get("rival") or specification_of(controller) != table:
         return {}
-    return {"": found["whole"]["clearing_cycles"], OWN_RIVAL: found["rival"]["clearing_cycles"]}
+    return {"": recorded["whole"]["clearing_cycles"], OWN_RIVAL: recorded["rival"]["clearing_cycles"]}
 
 
 def worth_at(
@@ -191,7 +191,7 @@ def worth_at(
     plant = FamilyPlant.of(case, controller.inputs, controller.outputs, cache)
     late = {name: s for name, s in (latency_s_of or {}).items() if name in controller.inputs}
     rival = rival_on_record(controller)
-    found = signal_worth(
+    linear = signal_worth(
         {case.name: plant.judged},
         K,
         [Condition("as here", (), late)],
@@ -200,7 +200,7 @@ def worth_at(
     )
     own = specification_of(controller)
     cycles = _recorded_cycles(own, controller) if own is not None and own.case == case.name else {}
-    return found.with_clearing(cycles.get(""), cycles.get(OWN_RIVAL))
+    return linear.with_clearing(cycles.get(""), cycles.get(OWN_RIVAL))
 
 
 def has_rival(table: DesignTable) -> bool:

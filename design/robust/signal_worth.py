@@ -123,8 +123,8 @@ class SignalWorth:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the record as JSON values."""
-        found = {"adds": self.adds, "adds_cycles": self.adds_cycles, "pays": self.pays}
-        return {**asdict(self), **found, "sentence": self.sentence}
+        derived = {"adds": self.adds, "adds_cycles": self.adds_cycles, "pays": self.pays}
+        return {**asdict(self), **derived, "sentence": self.sentence}
 
 
 OWN_MASKED, OWN_RIVAL = "own machines' signals, masked", "own machines' signals, designed anew"

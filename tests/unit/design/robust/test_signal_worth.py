@@ -101,9 +101,9 @@ def test_clearing_times_count(
     own: float, afar: float, rival: float, cycles: tuple[float, float], said: str, pays: bool
 ) -> None:
     plant = {"base": _oscillator(0.05, (1.0, 1.0))}
-    found = signal_worth(plant, _gain(own, afar), [Condition("N")], _gain(rival, 0.0))
-    assert "clearing times not searched" in found.sentence
-    result = found.with_clearing(*cycles)
+    linear = signal_worth(plant, _gain(own, afar), [Condition("N")], _gain(rival, 0.0))
+    assert "clearing times not searched" in linear.sentence
+    result = linear.with_clearing(*cycles)
     assert said in result.sentence
     assert f"clearing {cycles[0]:+.1f} against {cycles[1]:+.1f} cycles" in result.sentence
     assert result.pays is pays
