@@ -98,23 +98,29 @@ class SignalWorth:
         if own is None or self.adds is None:
             return f"{link} buys stability: without it no controller of this order held every condition"
         against = f"inter-area {whole.inter_area:.3f} against {own.inter_area:.3f} ({own.name})"
-        cycles = self.adds_cycles
-        if cycles is None:
-            against += "; clearing times not searched"
-        else:
-            assert self.rival is not None
-            against += (
-                f", clearing {whole.clearing_cycles:+.1f} against {self.rival.clearing_cycles:+.1f} cycles"
-            )
+        against += self._clearing_in_words
         if not self.pays:
             return f"a local stabilizer does as well: do not build {link}; {against}"
-        bought = [f"{self.adds:.3f} of inter-area damping"] if self.adds >= PAYS else []
-        if cycles is not None and (cycles >= PAYS_CYCLES or (bought and cycles > 0.0)):
-            bought.append(f"{cycles:.1f} cycles of clearing time")
-        more = [f"{link} buys {' and '.join(bought)}: {against}"]
+        more = f"{link} buys {self._bought(self.adds)}: {against}"
         if whole.common_rise is not None and own.common_rise is not None:
-            more.append(f"answer to the common rise {whole.common_rise:.3f} against {own.common_rise:.3f} pu")
-        return ", ".join(more)
+            more += f", answer to the common rise {whole.common_rise:.3f} against {own.common_rise:.3f} pu"
+        return more
+
+    @property
+    def _clearing_in_words(self) -> str:
+        """Mean changes of the clearing times, of the controller and its rival."""
+        if self.rival is None or self.adds_cycles is None:
+            return "; clearing times not searched"
+        ours, rivals = self.whole.clearing_cycles, self.rival.clearing_cycles
+        return f", clearing {ours:+.1f} against {rivals:+.1f} cycles"
+
+    def _bought(self, damping: float) -> str:
+        """What a link that pays buys."""
+        parts = [f"{damping:.3f} of inter-area damping"] if damping >= PAYS else []
+        cycles = self.adds_cycles
+        if cycles is not None and (cycles >= PAYS_CYCLES or (parts and cycles > 0.0)):
+            parts.append(f"{cycles:.1f} cycles of clearing time")
+        return " and ".join(parts)
 
     def with_clearing(self, ours: float | None, rivals: float | None) -> SignalWorth:
         """Return it with the mean change of its clearing times, and of its rival's, cycles."""
