@@ -39,8 +39,8 @@ def page_sources(case: Case | None = None) -> dict[str, bytes]:
         point = operating_point(case)
         keys = {device.key for device in point.controls.devices}
         sources[HEADER] = with_devices(sources[HEADER].decode("ascii"), keys).encode("ascii")
-        left_out = b"" if has_sparse_network(case, point) else b"#define PLANT_DENSE\n"
-        left_out += b"" if case.svcs or case.converters else b"#define PLANT_NO_BUS_DEVICES\n"
+        left_out = b"" if has_sparse_network(point.case, point) else b"#define PLANT_DENSE\n"
+        left_out += b"" if point.case.at_buses else b"#define PLANT_NO_BUS_DEVICES\n"
         sources[LAYOUT] = left_out + sources[LAYOUT]
     return sources
 

@@ -28,6 +28,7 @@ from ..grid.equilibrium import OperatingPoint, operating_point
 from ..grid.machine_tables import in_plant_order, machine_table
 from ..grid.network import load_power
 from ..grid.network_tables import Form, is_reduced, network_pattern, network_tables
+from ..grid.series import events_of_halves
 from ..grid.sparse_pattern import SparsePattern
 from .plant_shown import Shown, shown_of, shown_tables
 from .plant_variables import (
@@ -169,7 +170,7 @@ def plant_block(
     shown = shown_of(case, show, more)
     variables = state_variables(point) + input_variables(point) + [s.variable for s in shown]
     variables += [parameter_variable(parameter) for *_, parameter in parameters]
-    event_slots += len(case.events)
+    event_slots += _own_slots(case) + 2 * len(case.tcscs)  # a trip and a closing of each line more
     variables += event_variables(event_slots, _slot_values(case, case.events, 1))
     return Block(
         kind="plant",
@@ -198,11 +199,16 @@ def event_parameters(case: Case, events: Iterable[Any]) -> dict[str, float | int
     CaseError : a target that does not exist (with the nearest names).
     """
     case = in_plant_order(case)
-    return _slot_values(case, list(events), len(case.events) + 1)
+    return _slot_values(case, list(events), _own_slots(case) + 1)
+
+
+def _own_slots(case: Case) -> int:
+    return len(events_of_halves(case, case.events))
 
 
 def _slot_values(case: Case, events: Sequence[Any], first: int) -> dict[str, float | int]:
     check_events(case, events)
+    events = events_of_halves(case, events)
     values: dict[str, float | int] = {}
     for k, event in enumerate(events, start=first):
         code = EVENT_CODES[_SAME_AS.get(event.kind, event.kind)]

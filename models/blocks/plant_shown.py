@@ -11,8 +11,10 @@ import numpy as np
 import numpy.typing as npt
 
 from ..case.case import Case, CaseError
+from ..case.schema import Bus
 from ..grid.bus_devices import DEVICE
 from ..grid.machine_tables import network_states
+from ..grid.series import series_nodes
 from .variables import Variable
 
 #: ShowKind of plant/numbers/layout.h
@@ -162,7 +164,12 @@ def _of_tie(case: Case) -> Iterator[Shown]:
 
 def _of_svcs(case: Case) -> Iterator[Shown]:
     network = tuple(sorted(network_states(case)))
+    nodes, place = series_nodes(case), {bus.number: k for k, bus in enumerate(case.buses)}
     for k, row in enumerate(case.at_buses):
+        if row.name in nodes:
+            text = "size of the current through the series capacitor, base of the case"
+            yield _output(f"{row.name}.i", text, network, "bus_v", place[nodes[row.name]])
+            continue
         text = "power into the network, base of the case"
         yield _output(f"{row.name}.q", f"reactive {text}", network, "device_q", k)
         if k >= len(case.svcs):
@@ -171,7 +178,7 @@ def _of_svcs(case: Case) -> Iterator[Shown]:
 
 def _of_branches(case: Case) -> Iterator[Shown]:
     network = tuple(sorted(network_states(case)))
-    for k, b in enumerate(case.branches):
+    for k, b in enumerate(case.branches[: len(case.branches) - len(series_nodes(case))]):
         for letter, what in (("p", "active"), ("q", "reactive")):
             text = f"{what} power from bus {b.from_bus} into {b.name}, base of the case"
             yield _output(f"branch[{b.name}].{letter}", text, network, f"line_{letter}", k)
@@ -191,17 +198,22 @@ _OF_BUS = {
 def _of_buses(case: Case) -> Iterator[Shown]:
     network = tuple(sorted(network_states(case)))
     angles = tuple(sorted({*network, *(f"{m.name}.delta" for m in case.machines)}))
-    for k, bus in enumerate(case.buses):
+    for k, bus in enumerate(_real_buses(case)):
         for key, (text, unit) in _OF_BUS.items():
             on = angles if key == "angle" else network
             yield _output(f"bus{bus.number}.{key}", text.format(bus.number), on, f"bus_{key}", k, unit)
+
+
+def _real_buses(case: Case) -> Sequence[Bus]:
+    """The buses that are no nodes of series capacitors, which come last."""
+    return case.buses[: len(case.buses) - len(series_nodes(case))]
 
 
 def _locals(case: Case) -> list[Shown]:
     text, unit = _OF_BUS["v"]
     provided = [
         Shown(Variable(f"bus{b.number}.v", "local", text.format(b.number), unit=unit), "bus_v", k)
-        for k, b in enumerate(case.buses)
+        for k, b in enumerate(_real_buses(case))
     ]
     for k, m in enumerate(case.machines):
         provided.append(Shown(Variable(f"{m.name}.Efd", "local", "field voltage", unit="pu"), "efd", k))

@@ -37,7 +37,7 @@ _EVENT_WORDS = {
     "shunt_switch": "shunt switched in (size = 1) or out (size = 0), back at end",
     "frequency_shed": "a frequency relay adds size + j size_q (below 0) to a load, in use from start to end",
     "frequency_trip": "a frequency relay disconnects a machine, in use from start to end",
-    "device_trip": "SVC or STATCOM disconnected at start",
+    "device_trip": "SVC or STATCOM disconnected, series capacitor bypassed at start",
 }
 #: names of states that derivatives list altogether; beyond, those that see the network list nothing, which in
 #: FMI says that they may depend on everything
@@ -76,7 +76,12 @@ def state_variables(point: OperatingPoint) -> list[Variable]:
     return states + derivatives
 
 
-_ADDED_TO = {"v_mod": "the voltage set-point", "p_mod": "the active power", "q_mod": "the reactive reference"}
+_ADDED_TO = {
+    "v_mod": "the voltage set-point",
+    "x_mod": "the reactance",
+    "p_mod": "the active power",
+    "q_mod": "the reactive reference",
+}
 
 
 def input_variables(point: OperatingPoint) -> list[Variable]:

@@ -24,6 +24,7 @@ def check_whole(case: CaseTables) -> None:
     _check_references(case)
     _check_voltages(case)
     _check_svcs(case)
+    _check_tcscs(case)
     _check_slacks(case)
     machines = [m.name for m in case.machines]
     for name in case.swing or ():
@@ -86,6 +87,11 @@ def _check_svcs(case: CaseTables) -> None:
     for svc in case.svcs:
         if svc.name in machines:
             raise ValueError(f"svcs.{svc.name}: a machine has that name too, allowed: another name")
+        if svc.control.kind == "tcsc":
+            raise ValueError(
+                f"svcs.{svc.name}.control.kind = 'tcsc': a series capacitor stands in a branch, "
+                "allowed: a row of the table tcscs"
+            )
         if svc.V_pu is None:
             continue
         if svc.bus in machines.values():
@@ -98,6 +104,43 @@ def _check_svcs(case: CaseTables) -> None:
             raise ValueError(
                 f"svcs.{svc.name}.V_pu = {svc.V_pu:g} but {other.name} at the same bus {svc.bus} has "
                 f"{other.V_pu:g}, allowed: one voltage per bus"
+            )
+
+
+def _check_tcscs(case: CaseTables) -> None:
+    from .schema import LEFT_OF_LINE
+
+    others: tuple[Any, ...] = (*case.machines, *case.svcs, *case.converters)
+    taken, branches = {row.name for row in others}, {b.name: b for b in case.branches}
+    of: dict[str, str] = {}
+    for row in case.tcscs:
+        where = f"tcscs.{row.name}"
+        if row.name in taken:
+            raise ValueError(f"{where}: a machine or a device has that name too, allowed: another name")
+        line = branches.get(row.branch)
+        if line is None:
+            raise ValueError(
+                f"{where}.branch: branch {row.branch!r} does not exist; {nearest(row.branch, branches)}"
+            )
+        if row.branch in of:
+            raise ValueError(
+                f"{where}.branch = {row.branch!r}: {of[row.branch]} stands there, allowed: one a line"
+            )
+        of[row.branch] = row.name
+        if line.tap != 1.0 or line.shift_deg or not line.x > 0.0:
+            raise ValueError(
+                f"{where}.branch = {row.branch!r}, allowed: a line, without tap and shift, x above 0"
+            )
+        if not line.in_service:
+            raise ValueError(
+                f"{where}.branch = {row.branch!r} is out of service, allowed: one in service; "
+                f'take {row.name} out too ({where} = "none")'
+            )
+        most = (1.0 - LEFT_OF_LINE) * line.x
+        if not row.x_max_pu <= most:
+            raise ValueError(
+                f"{where}.x_max_pu = {row.x_max_pu:g} leaves less than {LEFT_OF_LINE:g} of the line's "
+                f"{line.x:g}, allowed: at most {most:g}"
             )
 
 
@@ -197,8 +240,14 @@ def target_index(case: CaseTables, event: Any) -> int:
             )
         return numbers.index(event.bus)
     table = next(t for t in ("branch", "machine", "load", "shunt", "device") if hasattr(event, t))
-    tables = {"branch": "branches", "device": "at_buses"}
-    names = [row.name for row in getattr(case, tables.get(table, f"{table}s"))]
+    rows: Any = (
+        (*case.svcs, *case.tcscs, *case.converters)
+        if table == "device"
+        else getattr(case, {"branch": "branches"}.get(table, f"{table}s"))
+    )
+    names = list(
+        dict.fromkeys(row.name for row in rows)
+    )  # in the plant a series capacitor is among the SVCs too
     name = getattr(event, table)
     if name not in names:
         raise CaseError(f"{case.name}: {event.kind}: {table} {name!r} does not exist; {nearest(name, names)}")

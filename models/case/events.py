@@ -169,10 +169,10 @@ class MachineTrip(_Event):
 
 
 class DeviceTrip(_Event):
-    """`device`, an SVC or STATCOM, is disconnected from its bus at `start_s`."""
+    """`device`, an SVC or STATCOM, is disconnected from its bus at `start_s`, a series capacitor bypassed."""
 
     kind: Literal["device_trip"] = "device_trip"
-    device: Target  #: name of the SVC or STATCOM
+    device: Target  #: name of the SVC, STATCOM, series capacitor or converter
 
 
 class ShuntSwitch(_Lasting):

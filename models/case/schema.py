@@ -347,6 +347,41 @@ class Svc(Row):
         return self.bus if self.regulates is None else self.regulates
 
 
+LEFT_OF_LINE = 0.2  #: of a line's reactance that a series capacitor leaves at least
+
+
+class Tcsc(Row):
+    """A thyristor controlled series capacitor: a reactance in a line that a lag moves between limits.
+
+    ``x = lag(x0_pu + tcsc1_x_mod, T_s)``, kept within `x_min_pu` and `x_max_pu`; the line has x less of its
+    own reactance, in the power flow `x0_pu`. Bypassed (`device_trip`) x is 0.
+    """
+
+    name: Annotated[str, Field(strict=True, max_length=64, pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]  #: its id
+    branch: Name  #: the line that it stands in
+    x0_pu: Number  #: capacitive reactance at rest, system base
+    x_min_pu: Number = 0.0  #: least; below 0 it is inductive
+    x_max_pu: Number  #: largest
+    T_s: Positive = 0.015  #: time constant of the thyristors
+
+    @model_validator(mode="after")
+    def _within_limits(self) -> Self:
+        if not self.x_min_pu <= self.x_max_pu:
+            raise ValueError(
+                f"x_min_pu = {self.x_min_pu:g} with x_max_pu = {self.x_max_pu:g}, allowed: x_min_pu <= "
+                "x_max_pu"
+            )
+        if not self.x_min_pu <= self.x0_pu <= self.x_max_pu:
+            limit, value = (
+                ("x_min_pu", self.x_min_pu) if self.x0_pu < self.x_min_pu else ("x_max_pu", self.x_max_pu)
+            )
+            raise ValueError(
+                f"x0_pu = {self.x0_pu:g} is {abs(self.x0_pu - value):g} beyond {limit} = {value:g}, allowed: "
+                f"within the limits; set {limit} or x0_pu"
+            )
+        return self
+
+
 class Converter(Row):
     """A converter plant, such as solar or wind: P and Q at a bus that its control moves.
 

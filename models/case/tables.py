@@ -16,7 +16,7 @@ from ..errors import CaseError, nearest
 from ..table import Table, Title
 from .control_schema import BARE, Positive
 from .events import Event
-from .schema import Branch, Bus, Converter, Load, Machine, Shunt, Svc, Tie
+from .schema import Branch, Bus, Converter, Load, Machine, Shunt, Svc, Tcsc, Tie
 
 Named = TypeVar("Named", Branch, Load, Machine, Shunt)
 
@@ -46,6 +46,7 @@ class CaseTables(Table):
     loads: tuple[Load, ...] = ()  #: by name
     machines: Annotated[tuple[Machine, ...], Field(min_length=1)]  #: by name
     svcs: tuple[Svc, ...] = ()  #: static var compensators and STATCOMs by name
+    tcscs: tuple[Tcsc, ...] = ()  #: thyristor controlled series capacitors by name
     converters: tuple[Converter, ...] = ()  #: converter plants by name
     tie: Tie | None = None  #: the cut whose flow operating points move
     events: tuple[Event, ...] = Field(
@@ -92,7 +93,8 @@ class CaseTables(Table):
         """Keys of the devices that machines and buses have."""
         controls = ((word, getattr(m, word)) for m in self.machines for word in OF_MACHINE)
         of_machines = {c.kind for word, c in controls if c is not None and c.kind != BARE.get(word)}
-        return of_machines | {d.control.kind for d in self.at_buses}
+        in_lines = {"tcsc"} if self.tcscs else set()
+        return of_machines | {d.control.kind for d in self.at_buses} | in_lines
 
     def machine(self, name: str) -> Machine:
         """Return machine `name`; CaseError with the nearest names when there is none."""

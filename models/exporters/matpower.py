@@ -9,6 +9,7 @@ from collections.abc import Iterable, Mapping
 from ..case.case import Case
 from ..case.schema import Branch, Load, Shunt
 from ..grid.powerflow import PowerFlow, solve_powerflow
+from ..grid.series import compensated
 from .written import Written, is_transformer, losses_of_network, named, types_of_buses
 
 
@@ -23,6 +24,7 @@ def matpower_of(case: Case, flow: PowerFlow | None = None) -> Written:
     PowerFlowError : the power flow has no solution.
     """
     flow = flow or solve_powerflow(case)
+    original, case = case, compensated(case)
     lines = [
         f"function mpc = {re.sub(r'[^A-Za-z0-9_]', '_', 'case_' + case.name)}",
         "mpc.version = '2';",
@@ -44,7 +46,7 @@ def matpower_of(case: Case, flow: PowerFlow | None = None) -> Written:
         "];",
         "",
     ]
-    return Written("\n".join(lines), tuple(_losses(case)))
+    return Written("\n".join(lines), tuple(_losses(original)))
 
 
 def _losses(case: Case) -> list[str]:

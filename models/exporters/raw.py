@@ -8,6 +8,7 @@ from ..case.case import Case
 from ..case.schema import Branch, Machine
 from ..errors import CaseError
 from ..grid.powerflow import PowerFlow, solve_powerflow
+from ..grid.series import compensated
 from .written import Written, is_transformer, losses_of_network, named, types_of_buses
 
 _LONGEST_NAME = 12  #: characters of a bus name in PSS/E
@@ -27,6 +28,7 @@ def raw_of(case: Case, flow: PowerFlow | None = None) -> Written:
     PowerFlowError : the power flow has no solution.
     """
     flow = flow or solve_powerflow(case)
+    original, case = case, compensated(case)
     for bus in case.buses:
         if bus.number > _LARGEST_BUS:
             raise CaseError(f"{case.name}: bus {bus.number}, allowed: at most {_LARGEST_BUS} in a RAW file")
@@ -48,7 +50,7 @@ def raw_of(case: Case, flow: PowerFlow | None = None) -> Written:
     )  # fmt: skip
     for name, following in zip(rest, (*rest[1:], ""), strict=True):
         _section(lines, name, following, ())
-    return Written("\n".join([*lines, "Q", ""]), tuple(_losses(case, charged)))
+    return Written("\n".join([*lines, "Q", ""]), tuple(_losses(original, charged)))
 
 
 def _losses(case: Case, charged: list[Branch]) -> list[str]:

@@ -43,6 +43,8 @@ def losses_of_network(case: Case) -> list[str]:
     if case.at_buses:
         names = named(d.name for d in case.at_buses)
         losses.append(f"SVCs, STATCOMs and converters with their power ({names})")
+    if case.tcscs:
+        losses.append(f"that series capacitors move ({named(row.name for row in case.tcscs)})")
     if case.tie is not None:
         losses.append("the tie")
     if case.events:

@@ -140,13 +140,18 @@ class Group:
         return np.array([d.column() for d in self.devices], dtype=float).T
 
 
+def modulation(key: str) -> str:
+    """Return the word of the input of an SVC or STATCOM, or of a series capacitor."""
+    return "x_mod" if key == "tcsc" else "v_mod"
+
+
 @dataclass(frozen=True)
 class Given:
     """An input of the plant: `word` of a row acts at `place`; as many more as there are: on the second input
     of that place, the reactive reference."""
 
     row: str  #: name of the machine, or of the device at a bus
-    word: str  #: vs, v_mod, p_mod or q_mod
+    word: str  #: vs, v_mod, x_mod, p_mod or q_mod
     place: int
 
     @property
@@ -178,7 +183,7 @@ class Controls:
             elif d.word == "converter":
                 result += [Given(d.prefix, "p_mod", d.place), Given(d.prefix, "q_mod", places + d.place)]
             elif d.word in AT_BUS:
-                result.append(Given(d.prefix, "v_mod", d.place))
+                result.append(Given(d.prefix, modulation(d.key), d.place))
         return tuple(result)
 
     @property
@@ -223,7 +228,9 @@ def controls_at_rest(
     devices: list[Device] = []
     inputs = [_reach(case, k) for k in range(len(points))]
     network = frozenset({NETWORK})
-    inputs += [{"vt": network, "vs": frozenset({f"{s.name}_v_mod"})} for s in case.svcs]
+    inputs += [
+        {"vt": network, "vs": frozenset({f"{s.name}_{modulation(s.control.kind)}"})} for s in case.svcs
+    ]
     inputs += [
         dict.fromkeys(("vt", "p", "q"), network)
         | {key: frozenset({f"{c.name}_{key}"}) for key in ("p_mod", "q_mod")}

@@ -18,7 +18,8 @@ from .control_tables import Controls, controls_at_rest
 from .coupling import BusPoint, bus_points
 from .machine_tables import NETWORK, MachinePoint, State
 from .network import bus_index, load_power, machine_bus_index, machine_norton_admittance, sparse_admittance
-from .powerflow import PowerFlow, solve_powerflow
+from .powerflow import PowerFlow, solve_powerflow, with_nodes
+from .series import with_series_nodes
 
 VOLTAGE_TOLERANCE_PU = 1e-8  #: most by which the dynamic network may differ from the power flow
 _REPETITIONS = 20  #: of the linear network; each brings the loads' volts about a digit closer
@@ -80,7 +81,8 @@ def operating_point(case: Case, power_flow: PowerFlow | None = None) -> Operatin
     >>> len(point.x0), point.input_names[0]
     (32, 'G1_vs')
     """
-    power_flow = solve_powerflow(case) if power_flow is None else power_flow
+    case = with_series_nodes(case)
+    power_flow = solve_powerflow(case) if power_flow is None else with_nodes(power_flow, case)
     return _assemble(case, power_flow, *machine_points(case, power_flow))
 
 

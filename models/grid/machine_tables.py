@@ -15,6 +15,7 @@ import numpy.typing as npt
 from ..case.case import Case
 from ..case.schema import Machine
 from .coupling import coupled_states, model_at_bus
+from .series import with_series_nodes
 
 
 @dataclass(frozen=True)
@@ -113,6 +114,7 @@ def network_states(case: Case) -> frozenset[str]:
 
 
 def in_plant_order(case: Case) -> Case:
-    """Return `case` with the machines as the plant has them: constant EMFs after all others."""
+    """Return `case` as the plant has it: constant EMFs after other machines, nodes for series capacitors."""
+    case = with_series_nodes(case)
     machines = tuple(sorted(case.machines, key=lambda m: m.has_constant_emf))
     return case if machines == case.machines else case.model_copy(update={"machines": machines})

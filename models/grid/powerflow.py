@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +12,7 @@ from ..case.case import Case, CaseError
 from ..case.checks import islands_of
 from .network import ComplexArray, branch_stamp, bus_index, load_power, machine_bus_index, sparse_admittance
 from .newton import Iterate, newton
+from .series import compensated, node_voltages, series_nodes, without_series_nodes
 
 TOLERANCE_PU = 1e-10
 
@@ -92,6 +93,8 @@ def solve_powerflow(case: Case) -> PowerFlow:
     ------
     PowerFlowError : no convergence; names the bus with the worst mismatch.
     """
+    if case.tcscs:
+        return _with_capacitors(case)
     Y = sparse_admittance(case)
     machine_bus = machine_bus_index(case)
     slack = np.array([bus_index(case)[m.bus] for m in case.slacks])
@@ -116,6 +119,30 @@ def solve_powerflow(case: Case) -> PowerFlow:
         )
         raise PowerFlowError(_no_convergence(case, best, free_angle, free_magnitude), voltages=retained)
     return _solved(case, best, load, slack)
+
+
+def _with_capacitors(case: Case) -> PowerFlow:
+    """The power flow with series capacitors in their lines; where these have nodes, of them too."""
+    nodes = series_nodes(case)
+    if not nodes:
+        return solve_powerflow(compensated(case))
+    return with_nodes(solve_powerflow(compensated(without_series_nodes(case))), case)
+
+
+def with_nodes(flow: PowerFlow, case: Case) -> PowerFlow:
+    """Return `flow` as that of `case`, whose series capacitors have nodes, unless it has them already."""
+    if not case.tcscs or len(flow.voltages) == len(case.buses):
+        return flow
+    at, power = node_voltages(case, flow.voltages)
+    plain = len(case.svcs) - len(power)
+    arrays = (
+        np.concatenate([flow.voltages, at]),
+        np.concatenate([flow.injections, power]),
+        np.concatenate([flow.at_buses[:plain], power, flow.at_buses[plain:]]),
+    )
+    for array in arrays:
+        array.flags.writeable = False
+    return replace(flow, case=case, voltages=arrays[0], injections=arrays[1], at_buses=arrays[2])
 
 
 def _start_angles(case: Case) -> npt.NDArray[np.float64]:

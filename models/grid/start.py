@@ -11,7 +11,8 @@ from ..devices.release import released
 from ..errors import DeviceError
 from .control_tables import Unrest, rests_of, row_name, table_of
 from .equilibrium import machine_points
-from .powerflow import PowerFlow, solve_powerflow
+from .powerflow import PowerFlow, solve_powerflow, with_nodes
+from .series import with_series_nodes
 
 #: a signal nearer to its limit than this, relative to it, rests at the limit: linear models hold for one
 #: side of it, and `release_limits` widens it
@@ -74,7 +75,7 @@ def start_of(case: Case, power_flow: PowerFlow | None = None) -> Start:
     ------
     CaseError : no operating point for another reason than a control.
     """
-    power_flow = solve_powerflow(case) if power_flow is None else power_flow
+    case, power_flow = _as_plant(case, power_flow)
     unrest: list[Unrest] = []
     margins: list[ControlMargin] = []
     points, _, _, buses = machine_points(case, power_flow)
@@ -94,14 +95,18 @@ def require_off_limits(case: Case) -> None:
     ------
     CaseError : which signal, its limit, its distance, and what to do; as `start_of`.
     """
-    at_buses = {svc.name for svc in case.svcs}
+    lines = {row.name for row in case.tcscs}
+    at_buses = {svc.name for svc in case.svcs} | lines
     for item in start_of(case).margins if at_buses else ():
         m = item.margin
         if item.control in at_buses and item.at_limit:
+            table, limit, elsewhere = "svcs", item.limit, "V_pu, Q_mvar"
+            if item.control in lines:
+                table, limit, elsewhere = "tcscs", f"x_{limit[1:].lower()}_pu", "x0_pu"
             raise CaseError(
-                f"{case.name}: svcs.{item.control}: {m.signal} ({m.text}) rests at {m.value:.6g}, "
-                f"{max(m.least, 0.0):.1g} from its limit {item.limit}; there it acts to one side only, so a "
-                f"linear study has two answers; widen {item.limit}, or start elsewhere (V_pu, Q_mvar)"
+                f"{case.name}: {table}.{item.control}: {m.signal} ({m.text}) rests at {m.value:.6g}, "
+                f"{max(m.least, 0.0):.1g} from its limit {limit}; there it acts to one side only, so a "
+                f"linear study has two answers; widen {limit}, or start elsewhere ({elsewhere})"
             )
 
 
@@ -112,7 +117,8 @@ def release_limits(case: Case, power_flow: PowerFlow | None = None) -> tuple[Cas
     ------
     CaseError : a control that cannot rest for another reason than a limit.
     """
-    power_flow = solve_powerflow(case) if power_flow is None else power_flow
+    original, (case, power_flow) = case, _as_plant(case, power_flow)
+    in_lines = {row.name for row in case.tcscs}  # within their limits, or there is no case
     points, _, _, buses = machine_points(case, power_flow)
     change: dict[str, dict[str, dict[str, dict[str, float]]]] = {}
     messages: list[str] = []
@@ -120,7 +126,7 @@ def release_limits(case: Case, power_flow: PowerFlow | None = None) -> tuple[Cas
         (k, word) for k, word, rest in rests_of(case, points, buses)[1] if not isinstance(rest, Unrest)
     }
     for k, word, item in rests_of(case, points, buses, room=AT_LIMIT)[1]:
-        if not isinstance(item, Unrest):
+        if not isinstance(item, Unrest) or item.row in in_lines:
             continue
         try:
             new = released(item.model, item.numbers, item.seen, item.output, item.who, AT_LIMIT)
@@ -132,5 +138,10 @@ def release_limits(case: Case, power_flow: PowerFlow | None = None) -> tuple[Cas
         for name, value in new.items():
             messages.append(f"{item.row}.{item.word}.{name}: {item.numbers[name]:g} -> {value:.6g}")
     if not change:
-        return case, ()
-    return case.with_changes(change), tuple(messages)
+        return original, ()
+    return original.with_changes(change), tuple(messages)
+
+
+def _as_plant(case: Case, power_flow: PowerFlow | None) -> tuple[Case, PowerFlow]:
+    case = with_series_nodes(case)
+    return case, solve_powerflow(case) if power_flow is None else with_nodes(power_flow, case)

@@ -32,12 +32,16 @@ B_SATURATION = np.log(E1 * S1 / (E2 * S2)) / (E1 - E2)
 A_SATURATION = S1 / np.exp(B_SATURATION * E1)
 
 
-def admittance() -> np.ndarray:
-    """Return the bus matrix of lines and shunts, (13, 13)."""
+SERIES = 4  #: place in LINES of the one that a series capacitor may stand in
+
+
+def admittance(series: float = 0.0) -> np.ndarray:
+    """Return the bus matrix of lines and shunts, (13, 13), with that capacitive reactance in a line."""
     at = {bus: k for k, bus in enumerate(BUSES)}
     Y = np.zeros((len(BUSES),) * 2, dtype=complex)
-    for one, other, r, x, b in LINES:
-        y, k, j = 1.0 / complex(r, x), at[one], at[other]
+    for place, (one, other, r, x, b) in enumerate(LINES):
+        y = 1.0 / complex(r, x - series * (place == SERIES))
+        k, j = at[one], at[other]
         Y[[k, j], [k, j]] += y + 0.5j * b
         Y[[k, j], [j, k]] -= y
     for bus, b in SHUNT.items():
@@ -45,9 +49,9 @@ def admittance() -> np.ndarray:
     return Y
 
 
-def power_flow() -> tuple[np.ndarray, np.ndarray]:
+def power_flow(series: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
     """Return voltages and injected powers of the buses, (13,) each."""
-    n, Y = len(BUSES), admittance()
+    n, Y = len(BUSES), admittance(series)
     at = {bus: k for k, bus in enumerate(BUSES)}
     free = [k for k, bus in enumerate(BUSES) if bus not in HELD]
     turning = [k for k in range(n) if BUSES[k] != 1]
@@ -82,13 +86,13 @@ def power_flow() -> tuple[np.ndarray, np.ndarray]:
 class TwoAreaSvc:
     """Rates of 54 states: delta, slip, eq1, ed1, psi_d, psi_q, exciter 4, governor 3 of all machines; SVC."""
 
-    def __init__(self, *, speed_terms: bool) -> None:
+    def __init__(self, *, speed_terms: bool, series: float = 0.0) -> None:
         self.speed_terms = speed_terms
         self.at = {bus: k for k, bus in enumerate(BUSES)}
         self.machine = np.array([self.at[bus] for bus in MACHINES])
-        V, S = power_flow()
-        self.V0 = V
-        Y = admittance()
+        V, S = power_flow(series)
+        self.V0, self.S0 = V, S
+        Y = admittance(series)
         for bus in (3, 101):  # constant reactive power of sources, as admittances
             Y[self.at[bus], self.at[bus]] += 1j * S[self.at[bus]].imag / abs(V[self.at[bus]]) ** 2
         self.loads = np.array([self.at[4], self.at[14]])
@@ -201,3 +205,17 @@ class TwoAreaSvc:
     def input_column(self, step: float = 1e-4) -> np.ndarray:
         """Return B (54,) of the SVC's modulation."""
         return (self.rates(self.x0, step) - self.rates(self.x0, -step)) / (2.0 * step)
+
+
+class TwoAreaTcsc(TwoAreaSvc):
+    """The same with the reactance x of a capacitor in a line as state 55: T x' = x0 + x_mod - x."""
+
+    def __init__(self, series: float, T: float) -> None:
+        super().__init__(speed_terms=False, series=series)
+        self.series, self.T, self.rest_Y = series, T, self.Y
+        self.x0 = np.append(self.x0, series)
+
+    def rates(self, x: np.ndarray, x_mod: float = 0.0) -> np.ndarray:
+        """Return dx/dt; the bus matrix is made anew with the line as it is."""
+        self.Y = self.rest_Y + admittance(x[54]) - admittance(self.series)
+        return np.append(super().rates(x[:54]), (self.series + x_mod - x[54]) / self.T)
