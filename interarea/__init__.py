@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import os
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
 
 __version__ = "0.2.0"
 
@@ -19,7 +18,10 @@ _ROOT = os.path.dirname(os.path.dirname(os.path.realpath(__file__)))  # noqa: PT
 if all(os.path.isfile(os.path.join(_ROOT, *f)) for f in (("pyproject.toml",), ("models", "py.typed"))):  # noqa: PTH113, PTH118
     __path__.append(_ROOT)
 
+TYPE_CHECKING = False  # as that of typing, whose load a signal at the start of a command would meet
 if TYPE_CHECKING:  # what the table below says, for type checkers and editors
+    from typing import Any
+
     from interarea.control_systems import delay_margin as delay_margin
     from interarea.control_systems import delayed_poles as delayed_poles
     from interarea.control_systems import h2syn as h2syn

@@ -1,13 +1,16 @@
 """`python -m interarea`, and the start of the command `interarea`: quick to stop from its first moment."""
 
+from __future__ import annotations
+
 import atexit
 import os
 import signal
 import sys
-import threading
-from contextlib import suppress
-from types import FrameType
-from typing import Any, NoReturn
+
+TYPE_CHECKING = False  # as that of typing, which takes longer to load than all else before the handlers
+if TYPE_CHECKING:
+    from types import FrameType
+    from typing import Any, NoReturn
 
 _AGAIN_S = 0.05
 
@@ -25,6 +28,8 @@ def _keep_code(stops: list[int]) -> None:
     (PyRun_String), even if it was dealt with. Where SIGINT stopped the command, that is as good.
     """
     if stops and stops[0] != signal.SIGINT:
+        from contextlib import suppress
+
         for stream in (sys.stdout, sys.stderr):
             with suppress(OSError, ValueError):  # a terminal that is gone
                 stream.flush()
@@ -40,6 +45,8 @@ def _signals() -> list[int]:
 
 def _interrupt(number: int) -> None:
     """Send the main thread a signal, which ends what it waits for (on Windows when it goes on)."""
+    import threading
+
     if hasattr(signal, "pthread_kill"):
         signal.pthread_kill(threading.main_thread().ident or 0, number)
     else:
@@ -66,6 +73,8 @@ def main() -> None:
     def swallowed(lost: Any) -> None:
         """A callback from C or a finaliser lets no exception through: an interrupt there comes once more."""
         if stops and lost.exc_type is KeyboardInterrupt:
+            import threading
+
             again = threading.Timer(_AGAIN_S, _interrupt, (stops[-1],))
             again.daemon = True
             again.start()

@@ -66,6 +66,20 @@ def test_quick_examples_run(name: str, tmp_path: Path, monkeypatch: Any) -> None
     assert done.exit_code == 0 and done.stdout.strip()
 
 
+def test_little_is_loaded_before_signals_are_handled() -> None:
+    """A signal that comes earlier ends Python with a traceback of its own."""
+    code = "import sys; old = set(sys.modules); import interarea.__main__; print(*(set(sys.modules) - old))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert set(done.stdout.split()) <= {
+        "interarea",
+        "interarea.__main__",
+        "atexit",
+        "signal",
+        "_signal",
+        "enum",
+    }
+
+
 def _loaded(*arguments: str) -> tuple[subprocess.CompletedProcess[str], set[str]]:
     """Run a command; return how it ended and the modules that it loaded."""
     code = (
