@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -248,3 +249,35 @@ def reduce(
         raise ReductionError(f"method = {method!r}, allowed for a case: balanced")
     plant = sparse_linear_plant(case_like(system), default_cache())
     return low_rank_reduction(plant, order, inputs=inputs, outputs=outputs or {})
+
+
+_NONE = 1e29  #: limits beyond are none
+
+
+def margins_at_rest(case: Case) -> list[dict[str, Any]]:
+    """Return each limited signal of the controls at rest, the nearest to a limit first.
+
+    Raises
+    ------
+    StartError : a control cannot rest; all of them are listed on stderr first.
+    """
+    from interarea.models.grid.control_tables import StartError
+    from interarea.models.grid.start import start_of
+
+    start = start_of(case)
+    if start.unrest:
+        print(start.text(), file=sys.stderr)
+        raise StartError(list(start.unrest))
+    return [
+        {
+            "control": m.control,
+            "kind": m.kind,
+            "signal": m.margin.signal,
+            "value": m.margin.value,
+            "low": m.margin.low if m.margin.low > -_NONE else None,
+            "high": m.margin.high if m.margin.high < _NONE else None,
+            "nearest": m.limit,
+            "margin": m.margin.least,
+        }
+        for m in start.margins
+    ]

@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from interarea.models.case.case import Case
 
 _GRIDS = (
-    ".raw (PSS/E version 23 to 36) or .m (MATPOWER), plain, .gz, .xz or .bz2; or wecc-179, npcc, nordic-44: "
-    "downloaded from the wheel of andes, whose licence (GPL) does not let them be shipped"
+    ".raw (PSS/E version 23 to 36), .rawx or .m (MATPOWER), plain, .gz, .xz or .bz2; or wecc-179, npcc, "
+    "nordic-44: downloaded from the wheel of andes, whose licence (GPL) does not let them be shipped"
 )
 
 

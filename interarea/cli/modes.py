@@ -14,6 +14,7 @@ import typer
 from .terminal import busy, print_table, two_numbers
 
 if TYPE_CHECKING:
+    from interarea.design.controllers.controller import Controller
     from interarea.design.delay.late_plant import LatePlant
     from interarea.design.linear.sparse_plant import SparsePlant
     from interarea.design.modes.modes import Mode, Modes
@@ -32,8 +33,6 @@ Below = Annotated[
         "--below", metavar="RATIO", help="all modes below this damping ratio; 0.2 with --band alone"
     ),
 ]
-
-_NONE = 1e29  #: limits beyond are none
 
 
 def modes(
@@ -76,15 +75,28 @@ def modes(
     latency: Annotated[
         float, typer.Option("--latency", metavar="S", help="of every signal of the controller, exact")
     ] = 0.0,
+    along: Annotated[
+        str | None,
+        typer.Option(
+            "--along",
+            metavar="KEY=FROM:TO[:POINTS]",
+            help="modes over a number of case or controller",
+        ),
+    ] = None,
+    save: Annotated[
+        Path | None, typer.Option("--save", metavar="DIR", help="of --along: CSV, Parquet, A, B, C, D")
+    ] = None,
 ) -> None:
     """Linearise the plant FMU of a case, at an operating point of choice, and name its swing modes."""
-    from .destination import folder_for
-
     around = _around(controller, latency, sensitivity)
-    if plot is not None:
-        folder_for(plot, "--plot")
+    if (along, save) != (None, None):
+        _refuse_beside("--along", margins=margins, sensitivity=sensitivity, shapes=shapes)
+        loaded = at_point(case, tie_flow, circuit_out, load_scale)
+        _locus(loaded, along, region_of(band, below), around, save, plot, json_)
+        return
+    _check_folders({"--plot": plot})
     if any(provided is not None for provided in (band, below, controller)):
-        _refuse_beside_band(margins=margins)
+        _refuse_beside("--band, --below or --controller", margins=margins)
         loaded = at_point(case, tie_flow, circuit_out, load_scale)
         region, paths = region_of(band, below), sensitivity or []
         _all_modes(loaded, *region, paths, around, participation, shapes, json_, plot)
@@ -97,7 +109,7 @@ def modes(
     cache = default_cache()
     with busy(f"linearising the plant FMU of {case}"):
         loaded = at_point(case, tie_flow, circuit_out, load_scale)
-        limits = _start_rows(loaded) if margins else []
+        limits = _margins(loaded) if margins else []
         system = linear_matrices(loaded, cache)
         result = modes_of(system, loaded.areas)
         moved: dict[str, Mapping[str, Sensitivity]] = {}
@@ -122,6 +134,38 @@ def modes(
         _print_sensitivity(path, by_mode)
     if margins:
         _print_margins(limits)
+    for file in files:
+        typer.echo(file)
+
+
+def _locus(
+    case: Case,
+    along: str | None,
+    region: tuple[tuple[float, float], float],
+    around: tuple[str, float] | None,
+    save: Path | None,
+    plot: Path | None,
+    as_json: bool,
+) -> None:
+    """Print, save and draw the modes over a parameter."""
+    from interarea.locus import LocusError, along_of, draw_locus, locus_of, locus_table, save_locus
+
+    if along is None:
+        raise LocusError("--save writes what --along finds; give --along KEY=FROM:TO")
+    key, values = along_of(along)
+    _check_folders({"--save": save, "--plot": plot})
+    controller, latency_s = (None, 0.0) if around is None else (_single(around[0]), around[1])
+    with busy(f"modes of {case.name} at {len(values)} values of {key}"):
+        locus = locus_of(case, key, values, region, controller=controller, latency_s=latency_s)
+        files = [] if save is None else save_locus(locus, case, save)
+        files += [] if plot is None else [draw_locus(locus, plot)]
+    if as_json:
+        document = {"case": case.name, "key": key, "rows": locus.rows(), "files": [*map(str, files)]}
+        typer.echo(json.dumps(document, indent=2, allow_nan=False))
+        return
+    (low, high), below = region
+    title = f"{case.name}: modes from {low:g} to {high:g} Hz below a damping ratio of {below:g} along {key}"
+    print_table(title, *locus_table(locus))
     for file in files:
         typer.echo(file)
 
@@ -154,13 +198,21 @@ def _around(
     return controller, latency_s
 
 
-def _refuse_beside_band(**provided: object) -> None:
-    """Refuse what belongs to the named swing modes of a small grid."""
+def _check_folders(folders: Mapping[str, Path | None]) -> None:
+    from .destination import folder_for
+
+    for option, folder in folders.items():
+        if folder is not None:
+            folder_for(folder, option)
+
+
+def _refuse_beside(option: str, **provided: object) -> None:
+    """Refuse what belongs to the named swing modes of a small grid at one operating point."""
     from interarea.design.modes.modes import ModeError
 
     named = [f"--{name}" for name, value in provided.items() if value]
     if named:
-        raise ModeError(f"{named[0]} with --band, --below or --controller: not together; leave one out")
+        raise ModeError(f"{named[0]} with {option}: not together; leave one out")
 
 
 def region_of(band: str | None, below: float | None) -> tuple[tuple[float, float], float]:
@@ -234,16 +286,23 @@ def _with_controller(
     case: Case, plant: SparsePlant, name: str, latency_s: float, high_hz: float
 ) -> LatePlant:
     """Return the plant with a controller around it, all its signals late."""
-    from interarea.design.controllers.controller import Controller
     from interarea.design.delay.late_plant import LatePlant
+
+    controller = _single(name)
+    late = dict.fromkeys(controller.inputs, latency_s)
+    return LatePlant(plant, controller.system, late, omega_b=case.omega_b, high_hz=high_hz)
+
+
+def _single(name: str) -> Controller:
+    """Return the controller of a name, which is no bank."""
+    from interarea.design.controllers.controller import Controller
     from interarea.design.modes.modes import ModeError
     from interarea.synthesis import load_controller
 
     controller = load_controller(name)
     if not isinstance(controller, Controller):
         raise ModeError(f"--controller {name}: a bank switches between controllers; name a single one")
-    late = dict.fromkeys(controller.inputs, latency_s)
-    return LatePlant(plant, controller.system, late, omega_b=case.omega_b, high_hz=high_hz)
+    return controller
 
 
 def _as_dict(
@@ -350,33 +409,10 @@ def _print_sensitivity(path: str, by_mode: Mapping[str, Sensitivity]) -> None:
     )
 
 
-def _start_rows(case: Case) -> list[dict[str, Any]]:
-    """Return each limited signal of the controls at rest, the nearest to a limit first.
+def _margins(case: Case) -> list[dict[str, Any]]:
+    from interarea.grids import margins_at_rest
 
-    Raises
-    ------
-    StartError : a control cannot rest; all of them are listed on stderr first.
-    """
-    from interarea.models.grid.control_tables import StartError
-    from interarea.models.grid.start import start_of
-
-    start = start_of(case)
-    if start.unrest:
-        typer.echo(start.text(), err=True)
-        raise StartError(list(start.unrest))
-    return [
-        {
-            "control": m.control,
-            "kind": m.kind,
-            "signal": m.margin.signal,
-            "value": m.margin.value,
-            "low": m.margin.low if m.margin.low > -_NONE else None,
-            "high": m.margin.high if m.margin.high < _NONE else None,
-            "nearest": m.limit,
-            "margin": m.margin.least,
-        }
-        for m in start.margins
-    ]
+    return margins_at_rest(case)
 
 
 def _print_margins(rows: list[dict[str, Any]]) -> None:

@@ -19,7 +19,7 @@ from .matpower import import_matpower
 from .psse import import_psse
 from .published import PUBLISHED, published
 
-FORMATS = ".raw (PSS/E version 23 to 36) or .m (MATPOWER), plain, .gz, .xz or .bz2"
+FORMATS = ".raw (PSS/E version 23 to 36), .rawx or .m (MATPOWER), plain, .gz, .xz or .bz2"
 _PACKED = (".gz", ".xz", ".bz2")
 
 
@@ -80,7 +80,7 @@ def import_grid(
         if leave_out or replace_models:
             raise CaseError(f"{file}: has no DYR file, so there is no model to leave out or to replace")
         return import_matpower(file, **how)
-    if suffix == ".raw":
+    if suffix in (".raw", ".rawx"):
         current = converters == "current"
         how |= models
         imported = import_psse(file, dyr, converters_as_current=current, replace=replace_models, **how)

@@ -22,6 +22,7 @@ from .raw.lines import read_lines_of
 from .raw.motors import read_motors
 from .raw.multi_terminal import read_multi_terminal
 from .raw.nodes import read_nodes
+from .raw.rawx import is_rawx, read_rawx
 from .raw.transformers import read_transformers
 from .report import Report
 from .static import USUAL_HZ, StaticGrid
@@ -45,7 +46,7 @@ def import_psse(
     leave_out: Sequence[str] = (),
     replace: Mapping[str, str] = MappingProxyType({}),
 ) -> Imported:
-    """Return the grid of a PSS/E RAW (version 23 to 36) and DYR file, each plain, gzip or xz.
+    """Return the grid of a PSS/E RAW (version 23 to 36) or RAWX and DYR file, each plain, gzip or xz.
 
     Without `dyr` the machines have no dynamic data (model power_flow). RAW and DYR do not tell how loads
     follow the voltage: the two exponents do, constant impedance (2) when not given.
@@ -69,7 +70,7 @@ def import_psse(
     report = Report(strict)
     provided = with_device_texts({"devices": tuple(devices)}, Path(), str(path))
     own = devices_of(provided["devices"], str(path))
-    file = read_raw(path)
+    file = read_rawx(path) if is_rawx(path) else read_raw(path)
     grid = static_grid(file, report, frequency_hz)
     if coordinates is not None:
         read_places(Path(coordinates), grid)

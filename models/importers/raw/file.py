@@ -95,7 +95,8 @@ def read_raw(path: Path) -> RawFile:
     CaseError : unreadable, no RAW file, change cases (IC = 1), cut off inside the network data, extended
         bus names.
     """
-    lines = [(number, text) for number, text in enumerate(read_lines(path), 1) if text.lstrip()[:2] != "@!"]
+    numbered = list(enumerate(read_lines(path), 1))
+    lines = [line for line in numbered if line[1].lstrip()[:2] not in ("@!", "//")]
     if not any(text.strip() for _, text in lines):
         raise CaseError(f"{path}:1: the file is empty, allowed: a PSS/E RAW file")
     first, text = lines[0]
@@ -107,6 +108,8 @@ def read_raw(path: Path) -> RawFile:
     version, note = layout_of(head.revision, split_words(text, f"{path}:{number}"), quoted, named)
     raw = RawFile(path, head.base_mva, head.frequency_hz, head.revision, version, {}, {})
     raw.notes += [f"{path}:{first}: {note}"] if note else []
+    remark = next((number for number, text in numbered if text.lstrip()[:2] == "//"), None)
+    raw.notes += [f"{path}:{remark}: a line that begins with // taken as comment"] if remark else []
     _cut(raw, body)
     raw.system = _system_wide(raw)
     return raw

@@ -1,0 +1,191 @@
+"""RAWX, the JSON form of RAW (version 35): its tables as the sections of a RAW file.
+
+Each row becomes the lines that RAW 35 would have, so one reader makes the grid of both and says the same of
+both; the places it names are the lines of the rows.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from ...errors import CaseError
+from .file import Group, RawFile
+from .layouts import fields
+from .text import read_lines
+
+VERSION = 35
+#: section -> table, and what the table calls the fields that it does not call as RAW does
+_SECTIONS: dict[str, tuple[str, dict[str, str]]] = {
+    "bus": ("bus", {}),
+    "load": ("load", {"ID": "loadid", "STATUS": "stat"}),
+    "fixed shunt": ("fixshunt", {"ID": "shntid", "STATUS": "stat"}),
+    "generator": ("generator", {"ID": "machid"}),
+    "branch": ("acline", {"R": "rpu", "X": "xpu", "B": "bpu", "ST": "stat"}),
+    "switching device": ("sysswd", {"X": "xpu"}),
+    "transformer": ("transformer", {"NMETR": "nmet"}),
+    "two-terminal dc": ("twotermdc", {"METER": "met"}),
+    "VSC dc": ("vscdc", {}),
+    "FACTS": ("facts", {}),
+    "switched shunt": ("swshunt", {"ID": "shntid", "SWREM": "swreg"}),
+    "induction machine": ("indmach", {"ID": "imid", "SC": "scode", "DC": "dcode", "PC": "pcode"}),
+}
+_MOTOR = {"H": "hconst", "A": "aconst", "B": "bconst", "D": "dconst", "E": "econst"}
+_SECTIONS["induction machine"][1].update(_MOTOR)
+_READ = frozenset(table for table, _ in _SECTIONS.values())
+_ENDS = {"I": "ibus", "J": "jbus", "K": "kbus"}
+#: tables that play no part in a power flow: buses are the joined nodes of substations already
+_ASIDE = (
+    *("area", "zone", "owner", "iatrans", "iatransfer", "msline", "rating"),
+    *("sub", "subnode", "subswd", "subterm"),
+)
+_SETTINGS = ("caseid", "general", "gauss", "newton", "adjust", "tysl", "solver")
+_Row = tuple[int, Mapping[str, Any]]  #: line, values by lower-case name
+
+
+def read_rawx(path: Path) -> RawFile:
+    """Return the RAWX file `path` (plain, gzip, xz or bzip2) as the RAW file of the same content.
+
+    Raises
+    ------
+    CaseError : unreadable, no JSON of this form, a change case, or rows of a table that is not read; with
+        file and line.
+    """
+    text = "\n".join(read_lines(path))
+    tables = _tables(path, text)
+    raw = _empty(path, tables)
+    for table, rows in tables.items():
+        if table in _ASIDE and rows:
+            raw.aside[table] = (len(rows), rows[0][0])
+        elif rows and table not in _READ and table not in _SETTINGS:
+            where = f"{path}:{rows[0][0]}"
+            raise CaseError(f"{where}: RAWX table {table!r} is not read, allowed: empty; write a .raw")
+    for section, (table, other) in _SECTIONS.items():
+        groups = [_group(section, row, _ENDS | other) for row in tables.get(table, [])]
+        if groups:
+            raw.groups[section] = groups
+    return raw
+
+
+def _empty(path: Path, tables: Mapping[str, list[_Row]]) -> RawFile:
+    """A RAW file of these settings without any record."""
+    head = _single(tables, "caseid")
+    if _number(path, head, "ic", 0.0) != 0.0:
+        raise CaseError(f"{path}: caseid: ic = {head['ic']!r}, allowed: 0 (a change case holds changes only)")
+    base, frequency = _number(path, head, "sbase", 100.0), _number(path, head, "basfrq", 0.0)
+    if not (base > 0.0 and frequency >= 0.0):
+        raise CaseError(f"{path}: caseid: sbase = {base:g}, basfrq = {frequency:g}, allowed: above 0")
+    if not tables.get("bus"):
+        raise CaseError(f"{path}: no rows in the table bus, allowed: at least one")
+    general = {name.upper(): value for name, value in _single(tables, "general").items()}
+    system = {name: float(value) for name, value in general.items() if isinstance(value, int | float)}
+    return RawFile(
+        path, base, frequency or None, int(_number(path, head, "rev", VERSION)), VERSION, system, {}
+    )
+
+
+def is_rawx(path: Path) -> bool:
+    """Return whether a name is that of a RAWX file, packed or not."""
+    return ".rawx" in [suffix.lower() for suffix in path.suffixes[-2:]]
+
+
+def _single(tables: Mapping[str, list[_Row]], table: str) -> Mapping[str, Any]:
+    rows = tables.get(table, [])
+    return rows[0][1] if rows else {}
+
+
+def _number(path: Path, row: Mapping[str, Any], name: str, default: float) -> float:
+    value = row.get(name)
+    if value is None:
+        return default
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise CaseError(f"{path}: caseid: {name} = {value!r}, allowed: a number")
+    return float(value)
+
+
+def _group(section: str, row: _Row, other: Mapping[str, str]) -> Group:
+    """The lines of RAW 35 that a row is."""
+    number, values = row
+    if section == "transformer":
+        texts = [_line(fields(section, VERSION), values, other)]
+        pairs = {name: name.lower().replace("-", "_") for name in fields("transformer impedance", VERSION)}
+        texts.append(_line(fields("transformer impedance", VERSION), values, pairs))
+        for k in "123" if values.get("kbus") else "12":
+            names = fields("transformer winding", VERSION)
+            own = {name: f"wdg{k}{name.lower()}" for name in names if name.startswith("RATE")}
+            own = {name: f"{name.lower()}{k}" for name in names} | own | {"NOD": f"node{k}"}
+            texts.append(_line(names, values, own))
+    elif section in ("two-terminal dc", "VSC dc"):
+        texts = [_line(fields(section, VERSION), values, other)]
+        part, ends = ("dc converter", "ri") if section == "two-terminal dc" else ("VSC converter", "12")
+        for end in ends:
+            own = {name: f"{name.lower()}{end}" for name in fields(part, VERSION)}
+            own |= {"REMOT": f"vsreg{end}"} if section == "VSC dc" else {}
+            texts.append(_line(fields(part, VERSION), values, own))
+    else:
+        texts = [_line(fields(section, VERSION), values, other)]
+    return tuple((number, text) for text in texts)
+
+
+def _line(names: Mapping[str, int], values: Mapping[str, Any], other: Mapping[str, str]) -> str:
+    return ",".join(_word(values.get(other.get(name, name.lower()))) for name in names)
+
+
+def _word(value: Any) -> str:
+    if value is None:
+        return ""
+    return "'" + value.replace("'", " ") + "'" if isinstance(value, str) else repr(value)
+
+
+def _tables(path: Path, text: str) -> dict[str, list[_Row]]:
+    """The rows of every table, each with its line."""
+    try:
+        document = json.loads(text)
+        network = document["network"]
+        named = {
+            table: [str(name).lower() for name in content["fields"]] for table, content in network.items()
+        }
+    except json.JSONDecodeError as error:
+        raise CaseError(f"{path}:{error.lineno}: no JSON: {error.msg}; allowed: a RAWX file") from None
+    except (TypeError, KeyError, AttributeError, RecursionError):
+        allowed = '{"network": {TABLE: {"fields": [..], "data": [..]}}}'
+        raise CaseError(f"{path}: no tables of a grid; allowed: {allowed}") from None
+    return {table.lower(): list(_rows(path, text, table, names)) for table, names in named.items()}
+
+
+def _rows(path: Path, text: str, table: str, names: list[str]) -> Iterator[_Row]:
+    """Yield the rows of a table: lists in a list, or one list of values."""
+    begin = re.compile(rf'"{re.escape(table)}"\s*:\s*{{').search(text)
+    data = re.compile(r'"data"\s*:\s*\[').search(text, begin.end() if begin else 0)
+    if begin is None or data is None:
+        raise CaseError(f"{path}: RAWX table {table!r} has no data, allowed: a list")
+    decoder, blank, at = json.JSONDecoder(), re.compile(r"[\s,]*"), data.end()
+    flat: list[Any] = []
+    first = text.count("\n", 0, data.end()) + 1
+    while True:
+        at = blank.match(text, at).end()  # type: ignore[union-attr]
+        if text[at] == "]":
+            break
+        line = text.count("\n", 0, at) + 1
+        row, at = decoder.raw_decode(text, at)
+        if isinstance(row, list):
+            yield line, _values(f"{path}:{line}", table, names, row)
+        else:
+            flat.append(row)
+    if flat:
+        yield first, _values(f"{path}:{first}", table, names, flat)
+
+
+def _values(where: str, table: str, names: list[str], row: list[Any]) -> Mapping[str, Any]:
+    if table not in _READ:
+        return dict(zip(names, row, strict=False))
+    if len(row) > len(names):
+        raise CaseError(
+            f"{where}: {table} row of {len(row)} values, allowed: {len(names)}, {' '.join(names)}"
+        )
+    if any(isinstance(value, list | dict) for value in row):
+        raise CaseError(f"{where}: {table} row holds a list, allowed: numbers and texts")
+    return dict(zip(names, row, strict=False))
