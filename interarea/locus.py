@@ -152,8 +152,8 @@ def save_locus(locus: Locus, case: Case, folder: Path) -> list[Path]:
 
 def locus_table(locus: Locus) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
     """Return titles and rows of a locus as texts."""
-    titles = (locus.key, "mode", "frequency (Hz)", "damping ratio", "eigenvalue (1/s)")
-    rows = [
+    titles: tuple[str, ...] = (locus.key, "mode", "frequency (Hz)", "damping ratio", "eigenvalue (1/s)")
+    rows: list[tuple[str, ...]] = [
         (
             f"{row['parameter']:.6g}",
             str(row["mode"]),
