@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -119,6 +119,7 @@ def save_locus(locus: Locus, case: Case, folder: Path) -> list[Path]:
     UserError : a plant of more states than dense matrices are made of.
     """
     import csv
+    import io
 
     import pyarrow as pa
     import pyarrow.parquet as pq
@@ -126,28 +127,30 @@ def save_locus(locus: Locus, case: Case, folder: Path) -> list[Path]:
     from .cosim.run.artefacts import linear_matrices
     from .fmu_build.write.cache import default_cache
     from .models.case.parameter_path import with_parameter
+    from .models.files import together, write_whole
 
     of_controller = locus.key.startswith("controller.")
-    rows, files = locus.rows(), [folder / "locus.csv", folder / "locus.parquet"]
-    systems: list[tuple[float, Any]] = []
-    for value in locus.values[:1] if of_controller else locus.values:
+    rows = locus.rows()
+    table, text = io.BytesIO(), io.StringIO(newline="")
+    writer = csv.DictWriter(text, list(rows[0]) if rows else ["parameter", "mode"])
+    writer.writeheader()
+    writer.writerows(rows)
+    pq.write_table(pa.Table.from_pylist(rows), table)
+    contents = {"locus.csv": text.getvalue().encode(), "locus.parquet": table.getvalue()}
+    for k, value in enumerate(locus.values[:1] if of_controller else locus.values):
         varied = case if of_controller else with_parameter(case, locus.key, float(value))
-        systems.append((float(value), linear_matrices(varied, default_cache())))
+        m = linear_matrices(varied, default_cache())
+        arrays = {name: getattr(m, name) for name in "ABCD"}
+        arrays |= {"states": m.state_labels, "inputs": m.input_labels, "outputs": m.output_labels}
+        packed = io.BytesIO()
+        np.savez(packed, value=float(value), **arrays)
+        contents[f"matrices-{k:03d}.npz"] = packed.getvalue()
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        with files[0].open("w", encoding="utf-8", newline="") as out:
-            writer = csv.DictWriter(out, list(rows[0]) if rows else ["parameter", "mode"])
-            writer.writeheader()
-            writer.writerows(rows)
-        pq.write_table(pa.Table.from_pylist(rows), files[1])
-        for k, (value, m) in enumerate(systems):
-            files.append(folder / f"matrices-{k:03d}.npz")
-            arrays = {name: getattr(m, name) for name in "ABCD"}
-            arrays |= {"states": m.state_labels, "inputs": m.input_labels, "outputs": m.output_labels}
-            np.savez(files[-1], value=value, **arrays)
+        with together():
+            return [write_whole(folder / name, content) for name, content in contents.items()]
     except OSError as error:
         raise DestinationError(f"--save {folder}: cannot be written: {error.strerror}") from None
-    return files
 
 
 def locus_table(locus: Locus) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:

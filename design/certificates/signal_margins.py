@@ -225,12 +225,12 @@ def in_words(margins: Sequence[Mapping[str, Any]]) -> list[str]:
         (f"{m['signal']} {_delay_in_words(m['delay'])}" for m in late),
         (f"{m['signal']} {_scale_in_words(m)}" for m in scaled),
     ]
-    first = ("stable while later by less than: ", "stable while as large, times: ")
+    first = ("delay margin: ", "gain margin (factors between which it is stable): ")
     return [start + _shortened(list(parts)) for start, parts in zip(first, lines, strict=True)]
 
 
 def _shortened(parts: list[str]) -> str:
-    more = [f"{len(parts) - _SHOWN} more with more room"] if len(parts) > _SHOWN else []
+    more = [f"{len(parts) - _SHOWN} more with larger margins"] if len(parts) > _SHOWN else []
     return ", ".join([*parts[:_SHOWN], *more])
 
 
@@ -258,4 +258,4 @@ def _scale_in_words(margin: Mapping[str, Any]) -> str:
 
 def _where(contact: Mapping[str, Any]) -> str:
     hertz = contact["frequency_hz"]
-    return f" ({f'{hertz:.2f} Hz' if hertz else 'no swing'}, {contact['point']})"
+    return f" ({f'{hertz:.2f} Hz' if hertz else 'real root'}, {contact['point']})"

@@ -89,5 +89,5 @@ def test_words_name_the_narrowest_first_and_count_the_others() -> None:
     late, scaled = in_words(many)
     assert f"all signals 200 ms (0.90 Hz, base), G0_dw {SEARCHED_S:g} s and over" in late
     assert scaled.index("G5_dw") < scaled.index("G4_dw")
-    assert "G5_dw -100 or less to 1.50 (no swing, load +5 %)" in scaled
-    assert scaled.endswith("2 more with more room")
+    assert "G5_dw -100 or less to 1.50 (real root, load +5 %)" in scaled
+    assert scaled.endswith("2 more with larger margins")
