@@ -359,7 +359,7 @@ class Scenario(Table):
 def load_scenario(
     source: str | Path | Mapping[str, Any] | Scenario, *, frequency_hz: float | None = None
 ) -> Scenario:
-    """Return the scenario of a TOML file, a bundled name, or a dict of the same keys.
+    """Return the scenario of a TOML file, an SSP archive, a bundled name, or a dict of the same keys.
 
     frequency_hz : of the grid that takes the place of the scenario's case; "8 cycles" are of that.
 
@@ -379,6 +379,11 @@ def load_scenario(
             raise ScenarioError(f"scenario {str(source)!r} is neither a file nor bundled; {hint}")
     if not path.exists():
         raise ScenarioError(f"{path}: no such scenario file")
+    if path.suffix.lower() == ".ssp":
+        from .ssp import table_of_ssp
+
+        table, folder = table_of_ssp(path)
+        return _checked(table, str(path), folder, frequency_hz)
     table = read_toml(path, "scenario", ScenarioError)
     return _checked({"name": path.stem[:64], **table}, str(path), path.parent, frequency_hz)
 

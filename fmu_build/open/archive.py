@@ -24,11 +24,21 @@ _PIECE = 1 << 20
 _METHODS = {zipfile.ZIP_STORED: "store", zipfile.ZIP_DEFLATED: "deflate"}
 _WINDOWS_NAMES = {"con", "prn", "aux", "nul", *(f"{d}{k}" for d in ("com", "lpt") for k in range(1, 10))}
 _HOSTILE = "archive"
+_GENERATED = b'generationTool="interarea '
 #: errors of the system that an entry's name causes
 _OF_NAMES = {
     *(errno.ENAMETOOLONG, errno.EINVAL, errno.EISDIR, errno.ENOTDIR, errno.EEXIST, errno.ENOENT),
     *(errno.EILSEQ, None),
 }
+
+
+def built_here(fmu: Path) -> bool:
+    """Whether the description of an FMU names this program; True of what cannot be read: opening says why."""
+    try:
+        with zipfile.ZipFile(fmu) as archive, archive.open("modelDescription.xml") as text:
+            return _GENERATED in text.read(4096)
+    except (OSError, KeyError, zipfile.BadZipFile, RuntimeError, zlib.error):
+        return True
 
 
 def unpack_checked(

@@ -6,7 +6,6 @@ import json
 import os
 import sys
 import time
-import zlib
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
@@ -33,7 +32,9 @@ _OWN_S = 0.3  # in which a child that has got a terminal's signal itself ends
 def run(
     scenario: Annotated[
         str,
-        typer.Argument(metavar="SCENARIO.toml", help="scenario file, or a bundled name", show_default=False),
+        typer.Argument(
+            metavar="SCENARIO", help="scenario file, SSP archive or bundled name", show_default=False
+        ),
     ],
     out: Annotated[
         Path | None, typer.Option("--out", metavar="DIR", help="folder for the results", show_default=False)
@@ -67,6 +68,7 @@ def run(
 ) -> None:
     """Co-simulate one scenario; writes trajectory, ledgers, metrics and a plot.
 
+    An SSP archive, of any tool, runs as it is: start values, nested systems, FMUs of others a process each.
     Without --out nothing is written: the delay and packet ledgers and the result in a line are printed. With
     --self-test and no --out only the self-test is done. --record, --every and --strict stand in for the
     scenario's keys of these names. The trajectory is written while it runs.
@@ -201,8 +203,10 @@ def _not_built_here(scenario: Path) -> list[str]:
     """
     from interarea.cosim.errors import ScenarioError
     from interarea.cosim.toml_file import read_toml
+    from interarea.fmu_build.open.archive import built_here
 
-    if not scenario.exists():  # a bundled name; or what is wrong is said when it is loaded
+    # a bundled name; an SSP, whose FMUs have a process each; or what is wrong is said when it is loaded
+    if not scenario.exists() or scenario.suffix.lower() == ".ssp":
         return []
     table = read_toml(scenario, "scenario", ScenarioError)
     tables = table.get("fmus")
@@ -210,18 +214,7 @@ def _not_built_here(scenario: Path) -> list[str]:
     files = {n: row.get("file") for n, row in rows if isinstance(row, dict) and not row.get("isolate")}
     files["controller"] = table.get("controller")
     paths = {n: scenario.parent / f for n, f in files.items() if isinstance(f, str) and f.endswith(".fmu")}
-    return [name for name, path in paths.items() if path.is_file() and not _is_ours(path)]
-
-
-def _is_ours(file: Path) -> bool:
-    """Whether the description names this program; who forges that gives up the process of his own."""
-    import zipfile
-
-    try:
-        with zipfile.ZipFile(file) as archive, archive.open("modelDescription.xml") as text:
-            return b'generationTool="interarea ' in text.read(4096)
-    except (OSError, KeyError, zipfile.BadZipFile, RuntimeError, zlib.error):
-        return True  # what is wrong with it is said when it is opened
+    return [name for name, path in paths.items() if path.is_file() and not built_here(path)]
 
 
 def _run_apart(scenario: Path, out: Path | None) -> int | None:

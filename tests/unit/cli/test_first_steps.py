@@ -98,10 +98,11 @@ def test_a_file_of_another_kind_is_named_as_what_it_is(interarea, kinds, command
     for kind, name in kinds.items():
         if kind == wanted or (kind == "case" and command in ("study", "design")):  # a grid will do there
             continue
-        code, out, err = interarea(command, name, "--out", "results")
+        results = "results.json" if command == "design" else "results"
+        code, out, err = interarea(command, name, "--out", results)
         assert code == 2 and out == "" and err.count("\n") == 1, err
         assert words[kind] in err and wanted in err and name in err, err
-        assert not Path("results").exists()
+        assert not Path(results).exists()
 
 
 def test_a_case_command_names_what_it_was_given(interarea, kinds) -> None:  # type: ignore[no-untyped-def]

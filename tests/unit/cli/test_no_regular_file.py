@@ -25,6 +25,7 @@ KINDS: dict[str, Callable[[Path], object]] = {
 }
 INPUTS = {
     "scenario": "run input.toml --out out",
+    "SSP to run": "run input.ssp --out out",
     "case": "modes input.toml",
     "sweep": "sweep input.toml --out out",
     "design": "design input.toml --out out.json",
