@@ -54,10 +54,10 @@ static fmi2Status output_slopes(Instance *c, double *slopes, const char *call)
     Block *b = &c->block;
     BlockMessage message = {{0}};
     BlockStatus status;
-    fmi2Status refreshed = c->sampled ? instance_refresh_outputs(c, 1, call)
+    fmi2Status refreshed = instance_is_sampled(c) ? instance_refresh_outputs(c, 1, call)
                                             : instance_refresh_derivatives(c, call);
     if (refreshed != fmi2OK) return refreshed;
-    if (c->sampled) {
+    if (instance_is_sampled(c)) {
         memcpy(slopes, c->y_slope, b->layout.n_y * sizeof(double));
         return fmi2OK;
     }
@@ -193,7 +193,7 @@ fmi2Status fmi2DoStep(fmi2Component component, fmi2Real communication_point, fmi
     for (size_t i = 0; i < b->layout.n_u; ++i) c->u_poly[4 * i] = b->u[i];
     if (c->undo != NULL) instance_undo_begin(c);
 
-    if (c->sampled) {
+    if (instance_is_sampled(c)) {
         status = block_step(b, c->run->time, length, c->u_poly, c->y_slope, &message);
     } else {
         status = solver_advance(c, communication_point + step, length, &message);
@@ -206,7 +206,7 @@ fmi2Status fmi2DoStep(fmi2Component component, fmi2Real communication_point, fmi
     if (status != BLOCK_OK) return instance_report_block(c, status, call, &message);
     instance_remark(c, &message);
     step_consume_inputs(c, step);
-    c->run->outputs_fresh = c->sampled;
+    c->run->outputs_fresh = instance_is_sampled(c);
     c->run->derivatives_fresh = 0;
     result = instance_refresh_outputs(c, 0, call);
     return result == fmi2OK ? instance_check_finite(c, call) : result;

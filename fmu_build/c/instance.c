@@ -235,7 +235,7 @@ fmi2Status instance_refresh_outputs(Instance *c, int locals, const char *call)
     double *const w = b->w;
 
     if (c->run->outputs_fresh) return fmi2OK;
-    if (c->sampled) {
+    if (instance_is_sampled(c)) {
         for (size_t i = 0; i < b->layout.n_u; ++i) c->u_poly[4 * i] = b->u[i];
         status = block_step(b, c->run->time, 0.0, c->u_poly, c->y_slope, &message);
     } else {
@@ -244,7 +244,7 @@ fmi2Status instance_refresh_outputs(Instance *c, int locals, const char *call)
         b->w = w;
     }
     if (status != BLOCK_OK) return instance_report_block(c, status, call, &message);
-    c->run->outputs_fresh = locals || c->sampled ? FRESH : FRESH_BUT_LOCALS;
+    c->run->outputs_fresh = locals || instance_is_sampled(c) ? FRESH : FRESH_BUT_LOCALS;
     return fmi2OK;
 }
 

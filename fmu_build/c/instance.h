@@ -55,7 +55,7 @@ typedef struct {
     Record record;
     Block block;
     size_t n_real, n_integer;
-    int sampled;                /* `sampled` of the record, or block_is_sampled */
+    int sampled;                /* `sampled` of the record, see instance_is_sampled */
 
     RunState *run;              /* start of the saved piece                    */
     size_t saved_size;
@@ -109,5 +109,13 @@ void instance_undo_begin(Instance *c);
 void instance_undo_event(Instance *c);
 void instance_undo(Instance *c);
 fmi2Status instance_check_finite(Instance *c, const char *call);
+
+/* Whether a block steps itself. Its code says so; where one library holds blocks of both kinds (the members of a
+ * chain), each record does. Elsewhere the compiler leaves out what is never reached. */
+#ifdef RECORDS_SAY_SAMPLED
+#define instance_is_sampled(c) ((c)->sampled)
+#else
+#define instance_is_sampled(c) (block_is_sampled)
+#endif
 
 #endif

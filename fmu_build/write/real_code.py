@@ -126,6 +126,8 @@ def dll_sources(block: Sequence[Path], record_size: int) -> dict[str, bytes]:
     size = _C / "dll" / "real_code_size.h"
     sources = gather_sources((*layer, *sorted((_C / "dll").glob("*.c")), *block, record_source()))
     sources[size.name] = sources[size.name].replace(b"16384", str(room).encode())
+    if any(path.name == "chain.c" for path in block):  # whose members are of both kinds
+        sources["instance.h"] = b"#define RECORDS_SAY_SAMPLED\n" + sources["instance.h"]
     name = "fmi2Functions.h"
     sources[name], count = re.subn(rb"(#\s*define FMI2_Export).*", rb"\1", sources[name])
     if count < 1:

@@ -381,7 +381,7 @@ static void advance(Call *call, int32_t k, double length)
     const size_t n = (size_t)model.info.n_inputs + model.n_wires;
     Instance *c = &call->instance[k];
     Input in;
-    for (size_t i = 0; i < n && !c->sampled && call->worst < REAL_CODE_ERROR; ++i) {
+    for (size_t i = 0; i < n && !instance_is_sampled(c) && call->worst < REAL_CODE_ERROR; ++i) {
         if (!input(call, k, i, &in) || in.port.integer) continue;
         const fmi2ValueReference r = (fmi2ValueReference)in.port.reference;
         const double slope = (in.value - c->real[r]) / length;
