@@ -51,6 +51,7 @@ def test_a_killed_worker_costs_nothing(document: Any, finished: Any, cache: Path
 
 @needs_proc
 @pytest.mark.slow
+@pytest.mark.timeout(900)  # each start takes as long as the machine lets it
 def test_kills_at_random_times_leave_every_row_once(tmp_path: Path) -> None:
     file = tmp_path / "sweep.toml"
     file.write_text(kills.SWEEP.format(losses=10), encoding="utf-8")
