@@ -40,7 +40,8 @@ Key = TypeVar("Key", bound=Hashable)
 class FaultRun:
     """One run: events after a start at rest, and the controller whose signals come late or not at all.
 
-    events : as in a scenario file. latency_s : of every signal. lost_s : signal -> when it goes for good.
+    events : as in a scenario file. latency_s : of every signal. lost_s : signal -> when it goes for good: it
+    is zero at once, as in the linear loops.
     """
 
     events: Sequence[Mapping[str, Any]]
@@ -57,6 +58,7 @@ class FaultRun:
                 f"from_{signal}": {
                     "signal": signal,
                     "latency_s": self.latency_s,
+                    "on_loss": "zero",
                     "outages_s": [[self.lost_s[signal], self.stop_s]] if signal in self.lost_s else [],
                 }
                 for signal in self.controller.inputs

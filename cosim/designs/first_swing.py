@@ -188,6 +188,7 @@ def after_fault(
             f"from_{signal}": {
                 "signal": signal,
                 "latency_s": fault.latency_s,
+                "on_loss": "zero",
                 "outages_s": [[fault.lost_s, fault.stop_s]] if signal in lost else [],
             }
             for signal in controller.inputs

@@ -116,7 +116,7 @@ class Subject:
                     continue
                 role = "remote" if self.is_remote(signal, controller) else "local"
                 name = role if role not in named else f"{signal}_channel"
-                named[name] = signal, {"signal": signal, "on_loss": "hold_then_zero", "hold_s": 0.2}
+                named[name] = signal, {"signal": signal}
                 taken.add(signal)
         return named
 

@@ -99,8 +99,8 @@ class ChannelLine(Table):
 
     latency_s: Seconds = 0.0  #: how late the signal is; exact to the tick of a nanosecond
     #: what the receiver gets while the signal is lost: zero, the last value, or that for `hold_s`
-    on_loss: Literal["zero", "hold", "hold_then_zero"] = "zero"
-    hold_s: Seconds = 1.0  #: how long `hold_then_zero` holds
+    on_loss: Literal["zero", "hold", "hold_then_zero"] = "hold_then_zero"
+    hold_s: Seconds = 0.5  #: how long `hold_then_zero` holds
     reporting_interval_s: Seconds = 0.0  #: time between packets; 0: a continuous signal without packets
     jitter_s: Seconds = 0.0  #: each packet is late by 0 to this much more, evenly spread
     #: random latency of each packet on top of `latency_s`

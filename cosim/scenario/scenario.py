@@ -9,7 +9,7 @@ A scenario file is TOML:
     [channels.remote]
     signal = "G2_dw"                   # plant output -> controller input of the same name
     latency_s = 0.1
-    on_loss = "zero"                   # zero | hold | hold_then_zero (for hold_s)
+    on_loss = "hold_then_zero"         # zero | hold | hold_then_zero (for hold_s)
     outages_s = [[10.0, 20.0]]
     [[event]]                          # interarea.models.case.events
     kind = "vref_pulse"

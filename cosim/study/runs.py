@@ -79,7 +79,7 @@ def scenario_documents(spec: Mapping[str, Any], margin_s: float | None) -> dict[
     for row in spec["scenario"]:
         remote: Document = {}
         if "lost_at_s" in row:
-            remote["outages_s"] = [[row["lost_at_s"], spec["stop_s"]]]
+            remote |= {"on_loss": "zero", "outages_s": [[row["lost_at_s"], spec["stop_s"]]]}
         documents[row["name"]] = document_of(
             spec, row["title"], row["controller"], row["disturbance"], remote, {}
         )

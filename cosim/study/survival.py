@@ -291,5 +291,6 @@ class Faults:
         }
         if setting.lost:
             outage = [[table["lost_at_s"], stop]]
-            document["channels"] = {setting.lost: {"signal": self.spec[setting.lost], "outages_s": outage}}
+            channel = {"signal": self.spec[setting.lost], "on_loss": "zero", "outages_s": outage}
+            document["channels"] = {setting.lost: channel}
         return document

@@ -118,7 +118,7 @@ def channel_block(
             "How long hold_then_zero holds",
             unit="s",
             display_unit="ms",
-            start=1.0,
+            start=0.5,
             min=0.0,
             tunable=True,
         ),
@@ -161,7 +161,7 @@ def channel_block(
             "What the output is during an outage",
             type="Enumeration",
             enumeration=ON_LOSS,
-            start=0,
+            start=2,
             tunable=True,
         )
     )

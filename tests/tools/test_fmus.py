@@ -42,7 +42,7 @@ SCENARIO = {
 def members(two_area: Case, hand_controller: Controller, cache: Path) -> dict[str, Member]:
     """Return each kind with start values under which its outputs move: an event, an input, an outage."""
     events = load_scenario(SCENARIO).event
-    channel = {"u": 0.7, "latency": 0.1, "outage[1].start": 0.5, "outage[1].end": 0.8}
+    channel = {"u": 0.7, "latency": 0.1, "outage[1].start": 0.5, "outage[1].end": 0.8, "on_loss": 0}
     parts = {
         "plant": (plant_block(two_area), event_parameters(two_area, events)),
         "controller": (hand_controller.block(two_area.omega_b), {"G2_dw": 0.02}),

@@ -5,21 +5,16 @@
 const NEVER = 1e30;
 const ON_LOSS = { zero: 0, hold: 1, hold_then_zero: 2 };
 const CHANNEL_START = {
-  latency: 0, loss: 0, burst: 1, jitter: 0, interval: 0, seed: 0, on_loss: 'zero', hold: 1000,
+  latency: 0, loss: 0, burst: 1, jitter: 0, interval: 0, seed: 0, on_loss: 'hold_then_zero', hold: 500,
 };
 
 /* The value of a key: of the state, else of the start, else the default of its kind. */
 function value(data, state, key) {
   if (key in state) return state[key];
   if (key in data.start) return data.start[key];
-  const [channel, part] = key.split('.');
-  if (part !== undefined) {
-    if (part === 'lost' || part === 'back') return data.stop;
-    const given = data.channels.find((c) => c.name === channel).table;
-    if (part === 'on_loss' && given.on_loss) return given.on_loss;
-    if (part === 'hold' && given.hold_s !== undefined) return given.hold_s * 1000;
-    return CHANNEL_START[part];
-  }
+  const part = key.split('.')[1];
+  if (part === 'lost' || part === 'back') return data.stop;
+  if (part !== undefined) return CHANNEL_START[part];
   if (key === 'l') {
     const made = controllerOf(data, state);
     return made ? made.limit : 0;

@@ -2,17 +2,41 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import pytest
 
+from interarea.cosim import explorer
+from interarea.cosim.designs.fault_runs import FaultRun
 from interarea.cosim.errors import ScenarioError
-from interarea.cosim.scenario.channels import GammaLatency, GilbertElliottLoss
+from interarea.cosim.scenario.channels import ChannelLine, GammaLatency, GilbertElliottLoss
 from interarea.cosim.scenario.scenario import load_scenario
+from interarea.design.controllers.bundled import shipped_controller
+from interarea.models.blocks.channel import ON_LOSS, channel_block
 
 
 def scenario(**keys: Any) -> dict[str, Any]:
     return {"case": "two-area-thesis", "stop_s": 1.0, "channels": {"remote": {"signal": "G2_dw", **keys}}}
+
+
+def test_a_channel_that_says_nothing_is_what_its_fmu_and_the_page_start_with() -> None:
+    block = channel_block()
+    said: dict[str, Any] = {**ChannelLine().parameters("x")}
+    said["on_loss"] = {key: code for key, code, _ in ON_LOSS.items}[said["on_loss"]]
+    assert said == {v.name: v.start for v in (*block.table.reals, *block.table.integers) if v.name in said}
+    page = (Path(explorer.__file__).parent / "web" / "settings.js").read_text(encoding="utf-8")
+    assert f"on_loss: '{ChannelLine().on_loss}', hold: {1000 * ChannelLine().hold_s:g}," in page
+
+
+def test_a_signal_lost_in_an_acceptance_is_zero_at_once() -> None:
+    controller = shipped_controller("robust")
+    run = FaultRun((), 10.0, controller, lost_s={"G2_dw": 1.5})
+    channels = load_scenario(run.document()).channels
+    assert {c.signal: (c.on_loss, c.outages_s) for c in channels.values()} == {
+        "G2_dw": ("zero", ((1.5, 10.0),)),
+        "G4_dw": ("zero", ()),
+    }
 
 
 def test_packet_keys() -> None:

@@ -116,6 +116,14 @@ def test_outages(channel: Path, on_loss: int, inside: object) -> None:
             assert abs(run.get("y") - wanted) < 1e-13, (on_loss, inside, at)
 
 
+def test_a_channel_that_is_not_asked_holds_for_half_a_second_then_gives_zero(channel: Path) -> None:
+    with Runner(channel) as run:
+        run.start({"outage[1].start": 0.3, "outage[1].end": 1.2, "u": 0.3})
+        for k in range(12):
+            run.step(0.1 * k, 0.1)
+            assert run.get("y") == (0.0 if 8 <= k + 1 < 12 else 0.3), k
+
+
 def test_history_that_is_too_short_is_an_error(channel: Path) -> None:
     with Runner(channel) as run:
         run.start({"latency": 1.0})
