@@ -25,7 +25,7 @@ import numpy.typing as npt
 from scipy.optimize import brentq
 
 from ..delay.curves import delayed_loop
-from ..delay.margin import unit_crossings
+from ..delay.margin import resonance_grid, unit_crossings
 from ..delay.signal_conditions import Condition
 from ..delay.transfer_matrix import transfer_matrix
 from ..linear.linearise import select
@@ -40,9 +40,8 @@ Returned: TypeAlias = Callable[[ComplexArray], ComplexArray]
 ALL = "all signals"  #: the row of signals that are equally late
 SEARCHED_S = 10.0  #: latencies above this are not looked for
 SEARCHED_SCALE = 100.0  #: nor are factors of a larger magnitude
-_LOWEST, _HIGHEST, _POINTS = 1e-3, 1e3, 600  # rad/s
+_LOWEST, _HIGHEST = 1e-3, 1e3  # rad/s
 _SHOWN = 4  # signals in a line of words
-_SPREAD = np.geomspace(0.02, 20.0, 12)  # of frequencies around a resonance, in its half widths
 
 
 @dataclass(frozen=True)
@@ -154,16 +153,11 @@ def _grid(plant: control.StateSpace | LargePlant, K: control.StateSpace, signals
 
     Of a large plant those alone that resolve swings.
     """
-    even = [np.geomspace(_LOWEST, _HIGHEST, _POINTS), np.arange(0.05, 40.0, 0.05)]
-    if isinstance(plant, LargePlant):
-        return np.unique(np.concatenate(even))
-    loops = [delayed_loop(plant, K, lost=lost) for lost in ((), *((each,) for each in signals))]
-    poles = np.concatenate([np.linalg.eigvals(loop.balanced().undelayed()) for loop in loops])
-    poles = poles[(poles.imag > _LOWEST) & (np.abs(poles.real) < 2.0 * poles.imag)]
-    spread = np.concatenate([-_SPREAD, [0.0], _SPREAD])
-    around = (poles.imag[:, None] + np.abs(poles.real)[:, None] * spread).ravel()
-    grid = np.unique(np.concatenate([*even, around]))
-    return np.asarray(grid[(grid >= _LOWEST) & (grid <= _HIGHEST)])
+    poles = np.empty(0, dtype=complex)
+    if not isinstance(plant, LargePlant):
+        loops = [delayed_loop(plant, K, lost=lost) for lost in ((), *((each,) for each in signals))]
+        poles = np.concatenate([np.linalg.eigvals(loop.balanced().undelayed()) for loop in loops])
+    return resonance_grid(poles, _LOWEST, _HIGHEST)
 
 
 def _cut(R: ComplexArray) -> ComplexArray:

@@ -16,6 +16,9 @@ from .characteristic_roots import DelayedLoop, DelayError, rightmost_roots
 Matrix = NDArray[np.float64]
 ComplexMatrix = NDArray[np.complex128]
 
+_HALF = np.geomspace(0.02, 50.0, 14)
+_SPREAD = np.concatenate([-_HALF, [0.0], _HALF])  # of frequencies around a resonance, in its half widths
+
 
 @dataclass(frozen=True)
 class DelayMargin:
@@ -66,7 +69,9 @@ def delay_margin_of(loop: DelayedLoop, signals: tuple[str, ...], *, upto_s: floa
         order = np.argsort(-np.abs(mu))
         return np.abs(mu)[order], mu[order]
 
-    grid = _resonance_grid(others.undelayed(), loop.undelayed(), upto_s)
+    poles = np.concatenate([np.linalg.eigvals(M) for M in (others.undelayed(), loop.undelayed())])
+    highest = 3.0 * max(10.0, float(np.max(np.abs(poles))))
+    grid = resonance_grid(poles, min(1e-3, 0.1 / max(upto_s, 1.0)), highest)
     table = _sizes_on(grid, others, Bs, Cs)
     names: set[tuple[float, float]] = set()
     for branch in range(table.shape[1]):
@@ -105,16 +110,11 @@ def _sizes_on(grid: Matrix, others: DelayedLoop, Bs: Matrix, Cs: Matrix) -> Matr
     return np.sort(np.abs(np.linalg.eigvals(cut)), axis=1)[:, ::-1]
 
 
-def _resonance_grid(*args: Matrix | float) -> Matrix:
-    """Frequencies > 0 (rad/s) that resolve the resonances of the given state matrices."""
-    upto = float(args[-1])
-    values = np.concatenate([np.linalg.eigvals(M) for M in args[:-1] if isinstance(M, np.ndarray)])
-    spread = np.concatenate([[0.0], np.geomspace(0.02, 50.0, 14)])
-    around = (values.imag[:, None] + np.abs(values.real)[:, None] * np.concatenate([-spread, spread])).ravel()
-    top = 3.0 * max(10.0, float(np.max(np.abs(values), initial=1.0)))
-    bottom = min(1e-3, 0.1 / max(upto, 1.0))
-    grid = np.concatenate([np.geomspace(bottom, top, 600), around, np.arange(0.05, 40.0, 0.05)])
-    return np.unique(grid[(grid >= bottom) & (grid <= top)])
+def resonance_grid(poles: ComplexMatrix, lowest: float, highest: float) -> Matrix:
+    """Return frequencies from `lowest` to `highest` (rad/s) that resolve the resonances of `poles` (1/s)."""
+    around = (poles.imag[:, None] + np.abs(poles.real)[:, None] * _SPREAD).ravel()
+    grid = np.concatenate([np.geomspace(lowest, highest, 600), around, np.arange(0.05, 40.0, 0.05)])
+    return np.unique(grid[(grid >= lowest) & (grid <= highest)])
 
 
 def unit_crossings(f: Callable[[float], float], grid: Matrix, values: Matrix) -> list[float]:
