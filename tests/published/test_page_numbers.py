@@ -74,23 +74,22 @@ def test_acceptance_of_the_guarded_controllers(name: str) -> None:
 
 
 def test_the_front_page_repeats_the_record_of_the_default_controller() -> None:
-    record = controller("robust")["certificate"]
+    record = controller("wide_area")["certificate"]
     assert row("README.md", "least damping ratio of the default")[1] == f"{record['worst_swing']:.3f}"
     assert row("README.md", f"faults, of {record['acceptance']['cases']},")[1] == str(
         len(record["acceptance"]["lost"])
     )
 
 
-@pytest.mark.parametrize("page", ["README.md", CONTROLLERS])
-def test_what_the_remote_signal_brings_is_stated(page: str) -> None:
-    rows = {r["condition"]: r for r in controller("robust")["certificate"]["rows"] if r["point"] == "base"}
-    (damping, area), (without, area_without) = (
-        (f"{rows[k]['worst_swing']:.3f}", f"{rows[k]['inter_area']:.3f}") for k in ("N", "L")
-    )
-    text = " ".join(PAGES[page].split())
-    stated = re.search(r"`robust`.{0,40} gains almost nothing from its remote signal\..*?lost", text)
-    assert stated is not None
-    assert re.findall(r"0\.\d{3}", stated[0]) == [damping, area, without, area_without]
+@pytest.mark.parametrize(
+    ("page", "start"),
+    [("README.md", "The remote signal of the default"), (CONTROLLERS, "The default is `wide_area`.")],
+)
+def test_what_the_remote_signal_adds_is_stated(page: str, start: str) -> None:
+    worth = controller("wide_area")["certificate"]["worth"]
+    cycles = worth["whole"]["clearing_cycles"] - worth["rival"]["clearing_cycles"]
+    stated = " ".join(PAGES[page].split()).partition(start)[2].partition(" cycles")[0]
+    assert re.findall(r"\d\.\d+", stated) == [f"{worth['adds']:.3f}", f"{cycles:.1f}"]
 
 
 def test_the_error_of_the_delay_is_that_of_the_page_which_a_command_writes() -> None:
