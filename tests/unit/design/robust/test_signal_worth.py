@@ -9,7 +9,15 @@ import pytest
 from interarea.design.controllers.bundled import shipped_controller
 from interarea.design.delay.signal_conditions import Condition
 from interarea.design.linear.norms import response
-from interarea.design.robust.signal_worth import OWN_MASKED, masked, own_signals, seen_by, signal_worth
+from interarea.design.robust.signal_worth import (
+    OWN_MASKED,
+    SignalWorth,
+    WorthRow,
+    masked,
+    own_signals,
+    seen_by,
+    signal_worth,
+)
 
 OMEGA = np.geomspace(0.1, 50.0, 30)
 
@@ -124,3 +132,14 @@ def test_a_link_without_which_nothing_is_stable_is_said_to_buy_stability() -> No
     result = signal_worth({"base": plant}, _gain(1.0, 1.6), [Condition("N")], _gain(3.0, 0.0))
     assert result.best_own is None
     assert "buys stability" in result.sentence
+
+
+@pytest.mark.parametrize("name", ["robust", "robust_latency", "robust_linear", "two_actuators", "wide_area"])
+def test_a_record_says_what_follows_from_its_numbers(name: str) -> None:
+    record = shipped_controller(name).certificate["worth"]
+    of = {key: WorthRow(**record[key]) for key in ("open_loop", "whole", "rival")}
+    masks = tuple(WorthRow(**row) for row in record["masked"])
+    worth = SignalWorth(afar=tuple(record["afar"]), masked=masks, remark=record["remark"], **of)
+    assert {key: worth.as_dict()[key] for key in ("adds", "adds_cycles", "pays", "sentence")} == {
+        key: record[key] for key in ("adds", "adds_cycles", "pays", "sentence")
+    }
