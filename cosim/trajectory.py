@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import csv
 import json
+import os
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TextIO
 
 import numpy as np
 import numpy.typing as npt
@@ -97,17 +99,29 @@ class Trajectory:
         return Trajectory(columns, {n: self.units[n] for n in names}, self.descriptions, self.engine)
 
     def table(self) -> pa.Table:
-        """Return an Arrow table whose schema carries unit and description of each column."""
-        import pandas as pd
+        """Return an Arrow table whose schema carries unit and description of each column; NaN is null."""
         import pyarrow as pa
 
-        table = pa.Table.from_pandas(pd.DataFrame(self.data), preserve_index=False)
-        fields = []
-        for f in table.schema:
-            extra = {"unit": self.units[f.name], "description": self.descriptions.get(f.name, "")}
-            fields.append(f.with_metadata({k: v for k, v in extra.items() if v}))
-        notes = {**(table.schema.metadata or {}), b"units": json.dumps(dict(self.units)).encode()}
-        return table.cast(pa.schema(fields, metadata=notes))
+        arrays, fields = [], []
+        for name, values in self._columns.items():
+            extra = {"unit": self.units[name], "description": self.descriptions.get(name, "")}
+            arrays.append(_arrow(values))
+            fields.append(pa.field(name, arrays[-1].type, metadata={k: v for k, v in extra.items() if v}))
+        notes = {b"units": json.dumps(self.units).encode()}
+        return pa.Table.from_arrays(arrays, schema=pa.schema(fields, metadata=notes))
+
+    def write_rows(self, file: TextIO, header: bool) -> None:
+        """Write the points as CSV, 17 digits each; NaN is an empty cell. header : the names first."""
+        if header:
+            csv.writer(file, lineterminator=os.linesep).writerow(self._columns)
+        columns, formats = [], []
+        for values in self._columns.values():
+            cells = values.tolist()
+            holes = values.dtype.kind == "f" and bool(np.isnan(values).any())
+            columns.append(["" if v != v else f"{v:.17g}" for v in cells] if holes else cells)
+            formats.append("%.17g" if values.dtype.kind == "f" and not holes else "%s")
+        line = ",".join(formats) + os.linesep
+        file.writelines(line % row for row in zip(*columns, strict=True))
 
     def write_parquet(self, path: Path) -> None:
         """Write `table` as a Parquet file."""
@@ -134,3 +148,14 @@ def _typed(row: npt.NDArray[np.float64], port: Port) -> npt.NDArray[Any]:
     if port.type == "Boolean":
         return np.asarray(row != 0.0)
     return row
+
+
+def _arrow(values: npt.NDArray[Any]) -> pa.Array:
+    """Return an Arrow array of Reals, integers or Booleans over the same memory; `pa.array` loads pandas."""
+    import pyarrow as pa
+
+    kind = {"f": pa.float64(), "i": pa.int64(), "b": pa.bool_()}[values.dtype.kind]
+    valid = ~np.isnan(values) if values.dtype.kind == "f" else None
+    holds = None if valid is None or valid.all() else pa.py_buffer(np.packbits(valid, bitorder="little"))
+    packed = np.packbits(values, bitorder="little") if values.dtype.kind == "b" else values
+    return pa.Array.from_buffers(kind, len(values), [holds, pa.py_buffer(np.ascontiguousarray(packed))])

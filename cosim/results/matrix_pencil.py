@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import lapack
-from scipy.optimize import least_squares
 
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]
@@ -111,6 +110,8 @@ def refined(time_s: Array, values: Array, poles: ComplexArray) -> ComplexArray:
 
     values : (points, signals), each of like size.
     """
+    from scipy.optimize import least_squares  # takes .3 s; most runs need no refining
+
     if not poles.size:
         return poles
     swinging = poles.imag > 0.0

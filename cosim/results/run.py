@@ -124,8 +124,9 @@ class Run(Result):
         files = super().save_beside(folder)
         metrics, figure, page = (folder / name for name in METRICS_FILES)
         write_json(self.metrics.as_dict(), metrics)
-        save_figure(self.plot(), figure)
-        write_whole(page, run_page(self, explorer))
+        drawn = self.plot()
+        save_figure(drawn, figure)
+        write_whole(page, run_page(self, drawn, explorer))
         return [*files, metrics, figure, page]
 
     def _repr_html_(self) -> str:

@@ -7,9 +7,11 @@ from typing import TYPE_CHECKING, Protocol
 
 from ..plots.html import page_environment, page_figure
 from .record import record_of, scenario_text
-from .run_figure import Ran, run_plot
+from .run_figure import Ran
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from .metrics import Metrics
 
 
@@ -30,9 +32,10 @@ _NUMBERS = {
 }
 
 
-def run_page(run: Reported, explorer: str = "") -> str:
+def run_page(run: Reported, drawn: Figure, explorer: str = "") -> str:
     """Return the page of a run.
 
+    drawn : its `plot`.
     explorer : address of the page on which the same run can be dragged; "" where there is none.
     """
     m = run.metrics
@@ -51,7 +54,7 @@ def run_page(run: Reported, explorer: str = "") -> str:
             modes=modes,
             numbers=numbers,
             stop_s=float(run.trajectory.time_s[-1]),
-            figure=page_figure(run_plot(run), "run", run.summary),
+            figure=page_figure(drawn, "run", run.summary),
             record=record_of(run.scenario, run.case),
             scenario=scenario_text(run.scenario),
             explorer=explorer,

@@ -84,7 +84,7 @@ class TrajectoryFiles:
         table = kept.table()
         with self._named(self.files[0]):
             assert self._csv is not None
-            kept.data.to_csv(self._csv, index=False, float_format="%.17g", header=first)
+            kept.write_rows(self._csv, header=first)
         with self._named(self.files[1]):
             if self._parquet is None:
                 import pyarrow.parquet as pq

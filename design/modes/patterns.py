@@ -9,7 +9,8 @@ from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import min_weight_full_bipartite_matching  # scipy.optimize takes .2 s to load
 
 ComplexMatrix = NDArray[np.complex128]
 _AS_WELL = 0.75  #: a fit this near to the best one is as good
@@ -57,7 +58,8 @@ def assigned_names(
     for k in sorted(set(area_of)):
         kinds += [f"local area {k}"] * (area_of.count(k) - 1)
     gain = np.array([[fit[kind] for kind in kinds] for fit in fits])
-    rows, cols = linear_sum_assignment(-gain)
+    cost = gain.max(initial=0.0) + 1.0 - gain  # above zero, where a sparse matrix would have no entry
+    rows, cols = min_weight_full_bipartite_matching(csr_array(cost)) if gain.size else ((), ())
     kind_of = {int(r): kinds[c] for r, c in zip(rows, cols, strict=True)}
     share = {r: fits[r][kind] / max(sum(fits[r].values()), 1e-300) for r, kind in kind_of.items()}
     final = {r: kind if share[r] >= least_share else "mixed" for r, kind in kind_of.items()}

@@ -162,6 +162,15 @@ def test_modes_of_a_case_known_already_take_no_library_of_systems_and_no_plots(c
     assert not {"control", "matplotlib", "pandas", "cvxpy", "fmpy"} & modules
 
 
+@pytest.mark.slow
+def test_a_plain_run_loads_what_it_needs(tmp_path: Path) -> None:
+    words = ("run", "ring-down", "--out", str(tmp_path))
+    assert not {"control", "pandas", "cvxpy", "clarabel", "fmpy"} & _loaded(*words)[1]
+    done, modules = _loaded(*words)  # with all in the cache
+    assert "report.html" in done.stdout and "matplotlib.figure" in modules
+    assert not {"scipy.optimize", "scipy.integrate", "ziglang", "lxml", "xmlschema"} & modules
+
+
 def _output(*arguments: str, **environment: str) -> str:
     done = subprocess.run(
         [sys.executable, "-m", "interarea", *arguments],

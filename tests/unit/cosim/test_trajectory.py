@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
@@ -49,6 +50,22 @@ def test_csv_keeps_bits(trajectory: Trajectory, tmp_path: Path) -> None:
         files.add(trajectory)
     again = pd.read_csv(files.files[0])
     assert (again["a.v"] == trajectory.data["a.v"]).all()
+
+
+def test_files_are_those_that_pandas_writes(trajectory: Trajectory, tmp_path: Path) -> None:
+    """Nothing of pandas is loaded for them: its own writers are the independent path."""
+    columns = {name: trajectory[name].copy() for name in ("time_s", "a.v", "a.n", "a.ok")}
+    columns["a.v"][1], columns['odd "name", here'] = np.nan, np.array([np.inf, -0.0, 1e-300])
+    odd = Trajectory(columns, dict.fromkeys(columns, "1"))
+    with TrajectoryFiles(tmp_path, every=2) as files:
+        files.add(odd)
+    wanted = odd.data.iloc[::2]
+    assert files.files[0].read_text() == wanted.to_csv(index=False, float_format="%.17g")
+    own, theirs = odd.table(), pa.Table.from_pandas(pd.DataFrame(columns), preserve_index=False)
+    assert own.equals(theirs) and own["a.v"].null_count == 1
+    with TrajectoryFiles(tmp_path) as files:
+        files.add(odd)
+    assert files.files[0].read_text() == odd.data.to_csv(index=False, float_format="%.17g")
 
 
 def test_an_unknown_column_names_those_there_are(trajectory: Trajectory) -> None:

@@ -65,7 +65,7 @@ class Balanced(HTMLParser):
 
 
 def test_the_page_is_whole_and_says_what_ran(run: Run) -> None:
-    text = run_page(run, explorer="explorer.html")
+    text = run_page(run, run.plot(), explorer="explorer.html")
     parser = Balanced()
     parser.feed(text)
     assert not parser.open and not parser.loaded
@@ -80,7 +80,7 @@ def test_the_page_is_whole_and_says_what_ran(run: Run) -> None:
 
 def test_the_pointer_shows_what_was_run(run: Run) -> None:
     """The curves kept with the figure, at the places of the axes that the SVG draws."""
-    text = run_page(run)
+    text = run_page(run, run.plot())
     kept = json.loads(re.search(r'<script type="application/json">(.*?)</script>', text)[1])  # type: ignore[index]
     swing, speeds, control = kept["axes"]
     assert [c["name"] for c in speeds["curves"]] == ["G1", "G2", "G3", "G4"]
