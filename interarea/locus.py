@@ -146,11 +146,11 @@ def save_locus(locus: Locus, case: Case, folder: Path) -> list[Path]:
         np.savez(packed, value=float(value), **arrays)
         contents[f"matrices-{k:03d}.npz"] = packed.getvalue()
     try:
-        folder.mkdir(parents=True, exist_ok=True)
         with together():
             return [write_whole(folder / name, content) for name, content in contents.items()]
     except OSError as error:
-        raise DestinationError(f"--save {folder}: cannot be written: {error.strerror}") from None
+        where = Path(error.filename or folder)
+        raise DestinationError(f"--save {where}: cannot be written: {error.strerror}") from None
 
 
 def locus_table(locus: Locus) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:

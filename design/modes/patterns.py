@@ -58,9 +58,7 @@ def assigned_names(
     for k in sorted(set(area_of)):
         kinds += [f"local area {k}"] * (area_of.count(k) - 1)
     gain = np.array([[fit[kind] for kind in kinds] for fit in fits])
-    cost = gain.max(initial=0.0) + 1.0 - gain  # above zero, where a sparse matrix would have no entry
-    rows, cols = min_weight_full_bipartite_matching(csr_array(cost)) if gain.size else ((), ())
-    kind_of = {int(r): kinds[c] for r, c in zip(rows, cols, strict=True)}
+    kind_of = {r: kinds[c] for r, c in _best_pairs(gain)}
     share = {r: fits[r][kind] / max(sum(fits[r].values()), 1e-300) for r, kind in kind_of.items()}
     final = {r: kind if share[r] >= least_share else "mixed" for r, kind in kind_of.items()}
     result = {}
@@ -70,6 +68,15 @@ def assigned_names(
         name = kind if len(same) == 1 else f"{kind}{separator}{same.index(r) + 1}"
         result[r] = (name, share[r], [k for k in range(len(fits)) if _fits_as_well(k, r, kind_of, fits)])
     return result
+
+
+def _best_pairs(gain: NDArray[np.float64]) -> list[tuple[int, int]]:
+    """Return the pairs (row, column), as many as there can be, with the largest sum of gains."""
+    if not gain.size:
+        return []
+    cost = gain.max() + 1.0 - gain  # above zero, where a sparse matrix would have no entry
+    rows, columns = min_weight_full_bipartite_matching(csr_array(cost))
+    return list(zip(rows.tolist(), columns.tolist(), strict=True))
 
 
 def _fits_as_well(k: int, r: int, kind_of: Mapping[int, str], fits: list[dict[str, float]]) -> bool:

@@ -86,19 +86,30 @@ def build_dll(
     BuildError : an unknown platform, a sample time that is not positive, a block that is a whole plant or has
         more ports than the interface's tables hold, or the compiler's message.
     """
-    if platform not in DLL_PLATFORMS:
-        raise BuildError(f"unknown platform of a DLL {platform!r}; allowed: {', '.join(DLL_PLATFORMS)}")
+    suffix = suffix_of(platform)
     if not 0.0 < sample_time_s < 1e6:
         raise BuildError(f"sample time of a DLL: {sample_time_s:g} s, allowed: above 0")
     to, path = DLL_PLATFORMS[platform], Path(path)
     if path.is_dir():
-        path = path / f"{block.name}{to.suffix}"
+        path = path / f"{block.name}{suffix}"
     record = pack_record(entries_of(block, sample_time_s))
     sources = chain_sources() if isinstance(block, Chain) else block.sources
     library = compile_for(
         f"{block.kind}-dll", dll_sources(sources, len(record)), to, cache=cache
     ).read_bytes()
     return write_whole(path, completed(library, record))
+
+
+def suffix_of(platform: str) -> str:
+    """Return what the name of a DLL for `platform` ends in.
+
+    Raises
+    ------
+    BuildError : an unknown platform.
+    """
+    if platform not in DLL_PLATFORMS:
+        raise BuildError(f"unknown platform of a DLL {platform!r}; allowed: {', '.join(DLL_PLATFORMS)}")
+    return DLL_PLATFORMS[platform].suffix
 
 
 def completed(library: bytes, record: bytes) -> bytes:

@@ -22,6 +22,7 @@ def folder_for(path: Path, option: str = "--out", *, files: Iterable[str] = ()) 
     for name in files:
         if (path / name).is_dir():
             raise DestinationError(f"{option} {path}: {name} in it is a folder, wanted: a file or nothing")
+        _require_room(path / name, (path / name).parent, option)
     return path
 
 

@@ -81,14 +81,13 @@ def build(
         result = controller_of(controller, loaded, cache)
         if result is not None:
             blocks |= {"channel": channel_block(), result.name: result.block(loaded.omega_b)}
-    files = {}
+    parts, files = [b for b in blocks.values() if b.kind != "plant"], {}
     with steps([f"{name}.fmu" for name in blocks]) as report, together():
         for name, block in blocks.items():
             report(f"{name}.fmu")
             fmu = complete_fmu(block_fmu(block, cache, platforms=names_of(platforms)), cache)
             files[name] = str(place(fmu, out / f"{name}.fmu"))
-    parts = [b for b in blocks.values() if b.kind != "plant"]
-    dlls = _dlls([*parts, pmu_block()] if parts else [], out, names_of(dll) or [], sample_time, cache)
+        dlls = _dlls([*parts, pmu_block()] if parts else [], out, names_of(dll) or [], sample_time, cache)
     if json_:
         typer.echo(
             json.dumps({"case": loaded.name, "fmus": files} | ({"dlls": dlls} if dll else {}), indent=2)
@@ -103,18 +102,18 @@ def _dlls(
 ) -> list[str]:
     """Write each block as a DLL of each platform, ``OUT/PLATFORM/NAME.dll``."""
     from interarea.fmu_build.errors import BuildError
-    from interarea.fmu_build.write.real_code import build_dll
+    from interarea.fmu_build.write.real_code import build_dll, suffix_of
+
+    from .destination import file_for
 
     if platforms and not blocks:
         raise BuildError("--dll: no controller was named; allowed: with --controller CONTROLLER")
     files = []
     for platform in platforms:
-        (out / platform).mkdir(exist_ok=True)
         for block in blocks:
+            file = file_for(out / platform / f"{block.name}{suffix_of(platform)}")
             with busy(f"{block.name} for {platform}"):
-                file = build_dll(
-                    block, out / platform, platform=platform, sample_time_s=sample_time_s, cache=cache
-                )
+                build_dll(block, file, platform=platform, sample_time_s=sample_time_s, cache=cache)
             files.append(str(file))
     return files
 
@@ -161,7 +160,7 @@ def container(
 ) -> None:
     """Write plant, channels and controller of a scenario as one FMU that simulates by itself."""
     from interarea.cosim.export.container import chain_of, write_container
-    from interarea.fmu_build.write.real_code import DLL_PLATFORMS, build_dll
+    from interarea.fmu_build.write.real_code import build_dll, suffix_of
 
     def write_chain(loaded: Any, path: Path, *, cache: Path, platforms: object) -> Path:
         chain = chain_of(loaded, cache=cache)
@@ -170,8 +169,7 @@ def container(
     if dll is None:
         tell_file(_written(write_container, ".fmu", scenario, out, platforms), json_)
     else:
-        suffix = DLL_PLATFORMS[dll].suffix if dll in DLL_PLATFORMS else out.suffix
-        tell_file(_written(write_chain, suffix, scenario, out, None), json_)
+        tell_file(_written(write_chain, suffix_of(dll), scenario, out, None), json_)
 
 
 def _written(

@@ -149,13 +149,14 @@ def _locus(
 ) -> None:
     """Print, save and draw the modes over a parameter."""
     from interarea.locus import LocusError, along_of, draw_locus, locus_of, locus_table, save_locus
+    from interarea.models.files import together
 
     if along is None:
         raise LocusError("--save writes what --along finds; give --along KEY=FROM:TO")
     key, values = along_of(along)
     _check_folders({"--save": save, "--plot": plot})
     controller, latency_s = (None, 0.0) if around is None else (_single(around[0]), around[1])
-    with busy(f"modes of {case.name} at {len(values)} values of {key}"):
+    with busy(f"modes of {case.name} at {len(values)} values of {key}"), together():
         locus = locus_of(case, key, values, region, controller=controller, latency_s=latency_s)
         files = [] if save is None else save_locus(locus, case, save)
         files += [] if plot is None else [draw_locus(locus, plot)]

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from interarea.models.errors import UserError, nearest
-from interarea.models.files import read_text
+from interarea.models.files import read_text, write_whole
 
 from .destination import file_for
 from .listing import DESIGNED, bundled_files
@@ -61,8 +61,7 @@ def new(
         text = source.read_text(encoding="utf-8")
     if suffix == ".toml" and not grid:  # the line by which editors complete and check
         text = f"#:schema {(SCHEMAS / f'{kind}.json').as_uri()}\n{text}"
-    out.parent.mkdir(parents=True, exist_ok=True)
-    out.write_text(text, encoding="utf-8")
+    write_whole(out, text)
     tell_file(out, json_)
 
 

@@ -132,7 +132,7 @@ def design_for_grid(name: str, case: Case, out: Path, minutes: float | None) -> 
     from interarea.fmu_build.write.cache import default_cache
     from interarea.models.case.document import case_names
     from interarea.models.case.write_toml import export_toml
-    from interarea.models.files import write_whole
+    from interarea.models.files import together, write_whole
 
     from .destination import file_for
 
@@ -143,11 +143,11 @@ def design_for_grid(name: str, case: Case, out: Path, minutes: float | None) -> 
     with stage_progress(DESIGN_STAGES) as report:
         clock, controller = Clock(minutes or MINUTES), _identifier(out.stem)
         done = design_grid(case, default_cache(), clock, name=controller, named=named, report=report)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    done.controller.save(out)
-    write_whole(files[1], done.proposal.text())
-    if named != name:
-        export_toml(case, files[-1])
+    with together():
+        done.controller.save(out)
+        write_whole(files[1], done.proposal.text())
+        if named != name:
+            export_toml(case, files[-1])
     return done, files
 
 

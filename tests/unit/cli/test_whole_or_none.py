@@ -42,8 +42,16 @@ COMMANDS = {
     "new": ("new scenario --out out/mine.toml", 1),
     "device": ("device tgov1 --set R=0.05 --set T1=0.5 --set T2=2 --set T3=7 --draw out/device.svg", 1),
     "compare": ("compare none robust --scenario short.toml --out out", 18),
+    "dlls": ("build two-area-thesis --controller robust --dll linux64 --out out", 6),
+    "chain": ("container wide-area-damping --dll linux64 --out out/chain.so", 1),
+    "locus": (
+        "modes two-area-thesis --along machines.G1.exciter.KA=100:200:2 --save out --plot out/drawn",
+        5,
+    ),
+    "new study": ("new study two-area-thesis --out out/study.toml", 1),
 }
-SLOW = ("run and explore", "explore", "compare")
+LONG = pytest.mark.timeout(900)
+SLOW = ("run and explore", "explore", "compare", "dlls", "chain", "locus", "new study")
 
 
 def written(folder: Path) -> set[str]:
@@ -59,7 +67,9 @@ def _inputs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "grid.m").write_text(matpower_text(load_case("two-area-thesis")), encoding="utf-8")
 
 
-@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] * (n in SLOW)) for n in COMMANDS])
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=[pytest.mark.slow, LONG] * (n in SLOW)) for n in COMMANDS]
+)
 def test_each_file_of_a_command_blocked(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     command, count = COMMANDS[name]
     code, _, err = invoke(command.split(), monkeypatch)
@@ -103,6 +113,44 @@ def test_a_sweep_its_maps_and_a_screening(tmp_path: Path, monkeypatch: pytest.Mo
         assert code == 2 and blocked in err, err
         assert not written(tmp_path / f"no {blocked}")
     assert written(tmp_path / "done") == before
+
+
+@pytest.mark.parametrize("name", ["design.toml", "controller.json", "fmus/plant.fmu", "fmus"])
+def test_files_of_a_grid_study_are_refused_before_it_is_begun(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if name == "fmus":
+        (tmp_path / "out").mkdir()
+        (tmp_path / "out/fmus").touch()
+    else:
+        (tmp_path / "out" / name).mkdir(parents=True)
+    before = written(tmp_path)
+    code, _, err = invoke(["study", "grid.m", "--out", "out"], monkeypatch)
+    assert code == 2 and name.split("/")[0] in err and len(err.splitlines()) == 1, err
+    assert written(tmp_path) == before
+
+
+def test_the_design_file_of_a_grid_is_refused_before_it_is_begun(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for blocked in ("made.design.toml", "made.case.toml"):
+        (tmp_path / blocked).mkdir()
+        code, _, err = invoke(["design", "grid.m", "--out", "made.json"], monkeypatch)
+        assert code == 2 and blocked in err, err
+        assert not (tmp_path / "made.json").exists()
+        (tmp_path / blocked).rmdir()
+
+
+def test_the_page_of_a_certificate_is_refused_before_the_controller_is_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for option, name in (("--page", "page.html"), ("--out", "made.json")):
+        folder = tmp_path / option
+        (folder / name).mkdir(parents=True)
+        words = f"certify robust --out {option}/made.json --page {option}/page.html"
+        code, _, err = invoke(words.split(), monkeypatch)
+        assert code == 2 and name in err, err
+        assert not written(folder)
 
 
 def test_figures_of_a_design_are_refused_before_it_is_begun(
