@@ -1,8 +1,9 @@
-"""What the shipped robust controllers hold at operating points that no design saw.
+"""What the shipped robust controllers hold at operating points and with parameters that no design saw.
 
-Run `python benchmarks/control/unseen_points.py [--faults] [NAME...]`: full plants, exact latency,
-conditions of the design. With `--faults` the non-linear faults of its acceptance there, at places where no
-design had one too.
+Run `python benchmarks/control/unseen_points.py [--parameters] [--faults] [NAME...]`: full plants, exact
+latency, conditions of the design. With `--parameters` the changes of `changes_of` to the case in place of
+the operating points: exciter gain, inertia, loads, tie reactance, a stabilizer out, governors out. With
+`--faults` the non-linear faults of its acceptance there, at places where no design had one too.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ from interarea.design.modes.modes import Mode, ModeError
 from interarea.design.robust.operating_points import JudgedPlant, inter_area_band, judge_family
 from interarea.fmu_build.write.cache import default_cache
 from interarea.models.case.case import Case
+from interarea.models.case.named_changes import changes_of
 from interarea.models.case.variants import operating_variant
 from interarea.models.grid.powerflow import PowerFlowError
 
@@ -114,9 +116,13 @@ def judged(case: Case, cache: Path) -> tuple[JudgedPlant, Mapping[str, Mode]]:
     return speeds_in_rad(plant, case.omega_b), named_modes(plant, case) or {}
 
 
-def unseen(name: str) -> dict[str, Case]:
-    """Return the operating points of `POINTS` that the design `name` has not got."""
+def unseen(name: str, parameters: bool) -> dict[str, Case]:
+    """Return the operating points of `POINTS`, or changes by name, that the design `name` has not got."""
     table = load_design(name)
+    if parameters:
+        known = {text for point in table.point for text in point.vary}
+        texts = [text for text in changes_of(table.grid) if text not in known]
+        return {text: operating_variant(table.grid, vary=[text]) for text in texts}
     seen = {tuple(point.out) for point in table.point if point.out}
     return {
         point: operating_variant(table.grid, **change)
@@ -139,10 +145,10 @@ def answered(controller: Controller) -> control.StateSpace:
     )
 
 
-def small_signal(name: str, cache: Path) -> None:
+def small_signal(name: str, cache: Path, parameters: bool) -> None:
     """Print a line for each operating point, and how many conditions are unstable."""
     controller, table = shipped_controller(name), load_design(name)
-    for point, case in unseen(name).items():
+    for point, case in unseen(name, parameters).items():
         try:
             plant, modes = judged(case, cache)
         except (PowerFlowError, ModeError) as error:
@@ -163,14 +169,14 @@ def small_signal(name: str, cache: Path) -> None:
         )
 
 
-def faults(name: str, cache: Path) -> None:
+def faults(name: str, cache: Path, parameters: bool) -> None:
     """Print a line for each operating point, and what of all faults is lost and gained."""
     controller, table = shipped_controller(name), load_design(name)
     if table.acceptance is None:
         print(f"{name:14} its design names no faults")
         return
     count = lost = gained = 0
-    for point, case in unseen(name).items():
+    for point, case in unseen(name, parameters).items():
         there = {branch.name for branch in case.branches}
         places = [*table.acceptance.fault, *PLACES.get(table.grid.name, ())]
         places = [place for place in places if place.trip is None or place.trip in there]
@@ -189,9 +195,10 @@ def faults(name: str, cache: Path) -> None:
 
 def main(arguments: list[str]) -> None:
     """Print what each shipped controller that is named holds, or all of them."""
-    names = [name for name in arguments if name != "--faults"]
+    names = [name for name in arguments if name not in ("--faults", "--parameters")]
     for name in names or shipped_names():
-        (faults if "--faults" in arguments else small_signal)(name, default_cache())
+        judge = faults if "--faults" in arguments else small_signal
+        judge(name, default_cache(), "--parameters" in arguments)
 
 
 if __name__ == "__main__":

@@ -21,6 +21,7 @@ import numpy as np
 from pydantic import Field
 
 from interarea.models.case.case import Case
+from interarea.models.case.named_changes import load_kind
 from interarea.models.table import Table
 
 from ..errors import ScenarioError
@@ -265,8 +266,7 @@ def with_ceilings(case: Case, least: float, most: float) -> Case:
 
 def with_loads(case: Case, of_p: float, of_q: float) -> Case:
     """Return `case` with these exponents of active and reactive power for every load."""
-    kind = {"P_exponent": of_p, "Q_exponent": of_q, "P_zip": None, "Q_zip": None}
-    return case.with_changes({"loads": {load.name: kind for load in case.loads}})
+    return case.with_changes(load_kind(case, of_p, of_q))
 
 
 def judge_acceptance(

@@ -34,6 +34,9 @@ class PointTable(Table):
     tie_flow_mw: float = 0.0  #: load moved across the tie, so that its flow grows by this
     out: tuple[str, ...] = ()  #: branches out of service
     load_scale: Positive = 1.0  #: factor on every load
+    #: parameters changed by name: "exciter gain -30 %", "inertia of area 2 -30 %", "tie reactance +20 %",
+    #: "loads of constant power", "no stabilizer at G3", "no governors", ...
+    vary: tuple[str, ...] = ()
     #: (rad/s, damping) wanted here on top of `offset` of the design; none: as much as elsewhere
     more: Offsets = ()
 

@@ -111,7 +111,13 @@ def named_modes(plant: control.StateSpace, case: Case) -> Mapping[str, Mode] | N
 
 def at_point(case: Case, point: PointTable) -> Case:
     """Return `case` at an operating point. Raises CaseError where there is none."""
-    return operating_variant(case, tie_flow_mw=point.tie_flow_mw, out=point.out, load_scale=point.load_scale)
+    return operating_variant(
+        case,
+        tie_flow_mw=point.tie_flow_mw,
+        out=point.out,
+        load_scale=point.load_scale,
+        vary=point.vary,
+    )
 
 
 def family_cases(table: Family) -> dict[str, Case]:

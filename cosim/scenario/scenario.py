@@ -147,6 +147,7 @@ class OperatingPointTable(Table):
     tie_flow_mw: float = 0.0  #: load moved across the tie, so that its flow grows by this
     load_scale: Annotated[float, Field(gt=0.0)] = 1.0  #: factor on every load
     out: tuple[str, ...] = ()  #: names of branches
+    vary: tuple[str, ...] = ()  #: parameters changed by name, such as "inertia -20 %"
 
 
 class Scenario(Table):

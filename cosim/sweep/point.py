@@ -4,7 +4,7 @@ Paths (the first word says where):
 
     seed                            seeds of all channels, each its own, from one number
     case                            another case by name
-    case.tie_flow_mw, case.load_scale, case.out     operating point (`operating_variant`)
+    case.tie_flow_mw, case.load_scale, case.out, case.vary      operating point (`operating_variant`)
     case.TABLE.ROW.KEY              any entry of the case, such as case.machines.G1.H
     controller                      another controller by name or file
     controller.gain                 factor on what the controller puts out (before its limit)
@@ -38,7 +38,7 @@ from ..scenario.signal_paths import ChannelTable, ConcentratorTable, SignalTable
 from .spec import Path_, Sweep
 from .values import Value
 
-OPERATING = ("tie_flow_mw", "load_scale", "out")
+OPERATING = ("tie_flow_mw", "load_scale", "out", "vary")
 _ROOTS = (
     *("seed", "case", "controller", "channels", "concentrators", "event", "fmus"),
     *("stop_s", "step_s", "master"),
@@ -71,8 +71,6 @@ class CaseChange:
             case = case.with_changes(change)
         if self.operating:
             requested: dict[str, Any] = dict(self.operating)
-            out = requested.get("out", ())
-            requested["out"] = (out,) if isinstance(out, str) and out else tuple(out)
             case = operating_variant(case, **requested)
         return case
 
@@ -135,6 +133,8 @@ class _Places:
         match words:
             case ("case",):
                 self.table["case"] = str(value)
+            case ("case", ("out" | "vary") as key) if isinstance(value, str):
+                self.operating[key] = (value,) if value else ()
             case ("case", key):
                 self.operating[key] = value
             case ("case", *rest):

@@ -1,4 +1,4 @@
-"""Operating-point variants: another tie flow, circuits out, all loads scaled, as named changes to a case."""
+"""Operating-point variants: another tie flow, circuits out, loads scaled, other parameters, as changes."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from .case import Case, CaseError
+from .named_changes import with_named_changes
 from .schema import Load
 
 
@@ -16,6 +17,7 @@ def operating_variant(
     tie_flow_mw: float = 0.0,
     out: Sequence[str] = (),
     load_scale: float = 1.0,
+    vary: Sequence[str] = (),
     between: tuple[str, str] | None = None,
 ) -> Case:
     """Return `case` at another operating point, named after what differs.
@@ -26,6 +28,7 @@ def operating_variant(
         that the tie carries about that much more; the slack takes the change of the losses.
     out : names of branches out of service.
     load_scale : factor on P and Q of every load and on the P of every machine.
+    vary : parameters changed by name, such as "inertia -20 %" (`named_changes`).
     between : names of the two loads; default: the largest load in the area where the tie begins and the
         largest outside that area.
 
@@ -36,7 +39,8 @@ def operating_variant(
 
     Raises
     ------
-    CaseError : unknown branch or load, a network cut in pieces, a factor that is not above 0.
+    CaseError : unknown branch or load, a network cut in pieces, a factor that is not above 0, a text of
+        `vary` that is no change.
     """
     if not load_scale > 0.0:
         raise CaseError(f"{case.name}: load_scale = {load_scale:g}, allowed: above 0")
@@ -57,7 +61,7 @@ def operating_variant(
         words.append(f"out-{re.sub('[^A-Za-z0-9_.-]+', '-', name)}")
     branches = {name: {"in_service": False} for name in out}
     change: Mapping[str, Any] = {"loads": loads, "machines": machines, "branches": branches}
-    return case.with_changes(change, name="-".join(words))
+    return with_named_changes(case.with_changes(change, name="-".join(words)), vary)
 
 
 def _ends_of_tie(case: Case) -> tuple[Load, Load]:
