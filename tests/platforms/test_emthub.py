@@ -14,12 +14,14 @@ import numpy as np
 import pytest
 from platforms.test_same_bits import emulator_of
 
+from interarea.cosim.run.system import System
 from interarea.fmu_build.check.check import check_file
 from interarea.fmu_build.open.real_code import ERROR, RealCode, RealCodeLibrary
 from interarea.fmu_build.write.cache import COMPILERS_OWN
 from interarea.fmu_build.write.compile import SYSTEM_LIBRARIES
 from interarea.fmu_build.write.real_code import DLL_PLATFORMS, build_dll
 from interarea.models.blocks.controller import controller_block
+from interarea.models.case.case import load_case
 from interarea.models.devices.library import library
 from interarea.models.devices.rest import rest_of
 
@@ -129,6 +131,46 @@ def test_scrx9_is_our_scrx_but_for_its_rule(
     print(f"SCRX9 against scrx, dip {dip:g}: {errors[0]:.2e} of the peak at 5 ms, {errors[1]:.2e} at 0.5 ms")
     assert errors[1] < most and errors[0] < 1e-2
     assert errors[0] / errors[1] > falls
+
+
+FIELD_INPUT = """name = "FIELD_INPUT"
+kind = "exciter"
+title = "field voltage as an input: what comes to the summing point is its deviation"
+sources = ["none: a wire"]
+diagram = "efd = vref + vs  # field voltage"
+"""
+SCRX = (
+    '{ kind = "scrx", TA_TB = 0.1, TB = 10.0, K = 100.0, TE = 0.05, '
+    "EMIN = -5.0, EMAX = 5.0, CSWITCH = 1.0, RC_RFD = 0.0 }"
+)
+
+
+def in_loop(folder: Path, cache: Path, step_s: float, dll: Path | None) -> np.ndarray:
+    """Terminal voltage of G2, its exciter SCRX9 or, without `dll`, our `scrx`, while G1's reference moves."""
+    exciter, devices = (SCRX, "") if dll is None else ('{ kind = "field_input" }', '"field_input.toml"')
+    (folder / "field_input.toml").write_text(FIELD_INPUT)
+    change = f"[change]\ndevices = [{devices}]\n[change.machines.G2]\nexciter = {exciter}\n"
+    (folder / "grid.toml").write_text(f'base = "two-area-thesis"\nname = "grid"\n{change}')
+    system = System(stop_s=2.0, step_s=step_s, cache=cache)
+    system.plant(load_case(folder / "grid.toml"))
+    if dll is not None:  # EFD begins at 0: the deviation, as SCRX9 is linear within its limits
+        system.fmu("avr", dll, VRef=1.01, Ec=1.01, VT=1.01, VUEL=-5.0, VOEL=5.0, EMin=-9.0, EMax=9.0)
+        system.connect("plant.G2_vt", "avr.Ec").connect("avr.EFD", "plant.G2_vs")
+    system.event("vref_pulse", machine="G1", size_pu=0.05, start_s=0.2, end_s=0.4)
+    data = system.run().data
+    return np.interp(np.arange(0.0, 2.0, 0.01), data["time_s"].to_numpy(), data["plant.G2_vt"].to_numpy())
+
+
+def test_scrx9_in_a_loop_is_our_scrx_but_for_a_held_output(tmp_path: Path, cache: Path) -> None:
+    """Its output is held from call to call, half a step of delay on average: the difference falls so."""
+    ours = in_loop(tmp_path, cache, 0.001, None)
+    errors = []
+    for step_s in (0.001, 0.00025):
+        loop = in_loop(tmp_path, cache, step_s, example("scrx9/SCRX9.c", tmp_path, cache, step_s))
+        errors.append(np.abs(loop - ours).max() / np.abs(ours - ours[0]).max())
+    print(f"SCRX9 in our loop against scrx: {errors[0]:.2e} of the peak at 1 ms, {errors[1]:.2e} at 0.25 ms")
+    assert np.ptp(ours) > 0.01 and errors[1] < 1e-4
+    assert 3.9 < errors[0] / errors[1] < 4.1
 
 
 @pytest.mark.parametrize("name", ["win64", "win32"])
