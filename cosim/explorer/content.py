@@ -11,7 +11,7 @@ from interarea.design.linear.linearise import LinearisationError
 from interarea.models.blocks.plant import event_parameters, shortest_time_s
 from interarea.models.blocks.plant_variables import EVENT_CODES
 from interarea.models.case.case import Case
-from interarea.models.case.events import event_of
+from interarea.models.case.events import event_of, slot_count
 from interarea.models.errors import CaseError
 from interarea.models.grid.network import load_power
 
@@ -217,7 +217,7 @@ def _given_events(subject: Subject) -> dict[str, Any]:
     from ..errors import ScenarioError
 
     events = subject.scenario.event
-    if len(events) > SLOTS:
+    if slot_count(events) > SLOTS:
         raise ScenarioError(
             f"{subject.scenario.name}: {len(events)} events, allowed on a page: {SLOTS}; take some out"
         )

@@ -46,8 +46,8 @@ def modal(system: control.StateSpace, inputs: Sequence[str], outputs: Sequence[s
     upper = np.flatnonzero(poles.imag >= 0.0)
     return {
         "poles": [_pair(z, 15) for z in poles[upper]],
-        "c": [[_pair(z, 12) for z in row] for row in c[:, upper]],
-        "b": [[_pair(z, 12) for z in row] for row in b[upper].T],
+        "c": [[_pair(z, 10) for z in row] for row in c[:, upper]],
+        "b": [[_pair(z, 10) for z in row] for row in b[upper].T],
         "d": D.tolist(),
     }
 

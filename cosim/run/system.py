@@ -34,6 +34,7 @@ from interarea.models.blocks.plant import event_parameters
 from interarea.models.blocks.pmu import PmuFilter, pmu_block
 from interarea.models.blocks.variables import Block
 from interarea.models.case.case import Case, load_case
+from interarea.models.case.events import slot_count
 from interarea.models.mistakes import mistakes
 
 from ..clock import on_tick, roundings
@@ -438,7 +439,7 @@ class System:
         return self_test_of(master or self.master(), self.channels, files, self.arrivals)
 
     def _slots(self, plant: str) -> int:
-        return max(EVENT_SLOTS, len(self.events.get(plant, ())))
+        return max(EVENT_SLOTS, slot_count(self.events.get(plant, ())))
 
     def _with_events(self, instance: Instance) -> Instance:
         """Return a plant with its events as start values; others as they are."""

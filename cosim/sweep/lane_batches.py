@@ -13,6 +13,7 @@ from interarea.fmu_build.errors import BuildError
 from interarea.fmu_build.write.lane_library import GroupLibrary, plant_group
 from interarea.models.blocks.plant import plant_sources
 from interarea.models.case.case import Case
+from interarea.models.case.events import slot_count
 
 from ..run.artefacts import EVENT_SLOTS
 from .live_instances import Kept
@@ -50,7 +51,7 @@ def plant_key(job: Job) -> PlantKey | None:
     """Return what decides the plant FMU of a job; None where its point is not known."""
     if job.point is None or job.point.scenario.fmus:
         return None
-    return job.point.change, max(EVENT_SLOTS, len(job.point.scenario.event))
+    return job.point.change, max(EVENT_SLOTS, slot_count(job.point.scenario.event))
 
 
 def by_plant(jobs: Sequence[Job]) -> list[Job]:

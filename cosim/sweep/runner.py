@@ -12,6 +12,7 @@ from typing import Any
 
 from interarea.fmu_build.write.lane_library import GroupLibrary
 from interarea.models.case.case import Case
+from interarea.models.case.events import slot_count
 
 from ..clock import seconds
 from ..errors import StepError, machine_error
@@ -127,7 +128,7 @@ class Runner:
     def plant_of(self, values: Mapping[str, Value]) -> tuple[Case, Path]:
         """Return the case of a point and its plant FMU (there until other cases are asked for)."""
         point = point_of(self.plan.sweep, values)
-        slots = max(EVENT_SLOTS, len(point.scenario.event))
+        slots = max(EVENT_SLOTS, slot_count(point.scenario.event))
         case = self._fmus.case(point.change, slots)
         return case, self._fmus.plant(case, slots).path
 
@@ -323,7 +324,7 @@ class Runner:
     def _ready(self, point: Point, busy: Sequence[Kept] = ()) -> tuple[Kept, Instances]:
         """Return live instances with the start values of a point, wired into a loop; none that is `busy`."""
         scenario, change = point.scenario, point.change
-        slots = max(EVENT_SLOTS, len(scenario.event))
+        slots = max(EVENT_SLOTS, slot_count(scenario.event))
         system = system_of(
             scenario,
             case=self._fmus.case(change, slots),

@@ -11,7 +11,7 @@ from .sizes import OUTAGES, QUANTILES, SIGNAL_FAULTS
 from .variables import Block, Enumeration, Variable, VariableTable
 
 _FOLDER = Path(__file__).resolve().parents[1] / "c" / "channel"
-_PARTS = ("channel", "history", "outage", "packets", "random", "signal_fault")
+_PARTS = ("channel", "history", "outage", "packets", "signal_fault")
 
 ON_LOSS = Enumeration(
     "OnLoss",
@@ -176,7 +176,7 @@ def channel_block(
         description="Communication channel: exact latency, packets, loss, outages, rule on loss",
         table=VariableTable(variables),
         data={"capacity": np.array([capacity], dtype=np.int32)},
-        sources=tuple(_FOLDER / f"{part}.c" for part in _PARTS),
+        sources=(*(_FOLDER / f"{part}.c" for part in _PARTS), _FOLDER.parent / "block" / "random.c"),
         step_s=step_s,
         model_exchange=False,
         documentation={"Behaviour": _BEHAVIOUR, **(documentation or {})},

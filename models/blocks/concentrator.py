@@ -101,8 +101,8 @@ def concentrator_block(
         table=VariableTable(variables),
         data={"capacity": np.array([capacity], dtype=np.int32)},
         sources=(
-            _FOLDER / "concentrator" / "concentrator.c", channel / "history.c", channel / "random.c",
-            channel / "signal_fault.c",
+            _FOLDER / "concentrator" / "concentrator.c", channel / "history.c",
+            channel / "signal_fault.c", _FOLDER / "block" / "random.c",
         ),
         step_s=step_s,
         model_exchange=False,

@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from ..case.case import Case, CaseError
 from ..case.checks import check_events, target_index
+from ..case.events import slot_count
 from ..case.tables import SOLVER_STEP_S
 from ..devices.document import devices_html
 from ..devices.emit import decisions
@@ -33,6 +34,7 @@ from ..grid.sparse_pattern import SparsePattern
 from .plant_shown import Shown, shown_of, shown_tables
 from .plant_variables import (
     EVENT_CODES,
+    WAVE_CODES,
     event_variables,
     input_variables,
     parameter_variable,
@@ -52,6 +54,7 @@ SOURCES = tuple(
         "plant/flow/tile_8.c",
         "plant/flow/tangent.c",
         "plant/events/event.c",
+        "plant/events/wave.c",
         "plant/events/relay.c",
         "plant/events/topology.c",
         "plant/events/sparse_stage.c",
@@ -60,6 +63,7 @@ SOURCES = tuple(
         "plant/start/failure.c",
         "plant/network/port.c",
         "plant/start/rest.c",
+        "block/random.c",
         "block/record.c",
     )
 )
@@ -82,7 +86,7 @@ GROUP_SOURCES = tuple(
 )
 
 #: kinds of a scenario that are another one without an end
-_SAME_AS = {"vref_step": "vref_pulse", "pm_step": "pm_pulse"}
+_SAME_AS = {"vref_step": "vref_pulse", "pm_step": "pm_pulse", "load_noise": "load_step"}
 
 _STEP_TEXT = (
     "longest Runge-Kutta step inside a communication step (co-simulation; in model exchange the importer "
@@ -203,24 +207,28 @@ def event_parameters(case: Case, events: Iterable[Any]) -> dict[str, float | int
 
 
 def _own_slots(case: Case) -> int:
-    return len(events_of_halves(case, case.events))
+    return slot_count(events_of_halves(case, case.events))
 
 
 def _slot_values(case: Case, events: Sequence[Any], first: int) -> dict[str, float | int]:
     check_events(case, events)
     events = events_of_halves(case, events)
+    each = [(event, wave) for event in events for wave in getattr(event, "waves", (("steady", 0.0, 1.0),))]
     values: dict[str, float | int] = {}
-    for k, event in enumerate(events, start=first):
-        code = EVENT_CODES[_SAME_AS.get(event.kind, event.kind)]
+    for k, (event, (wave, frequency_hz, share)) in enumerate(each, start=first):
+        acts = getattr(event, "steady", event)
+        kind = _SAME_AS.get(acts.kind, acts.kind)
         end = getattr(event, "end_s", None)
-        size, size_q = _event_size(case, event)
+        size, size_q = _event_size(case, acts)
         values |= {
-            f"event[{k}].kind": code,
+            f"event[{k}].kind": EVENT_CODES[kind],
             f"event[{k}].target": target_index(case, event) + 1,
+            f"event[{k}].wave": WAVE_CODES[wave],
+            f"event[{k}].seed": getattr(event, "seed", 0),
             f"event[{k}].start": event.start_s,
             f"event[{k}].end": NO_LIMIT if end is None else end,
-            f"event[{k}].size": size,
-            f"event[{k}].size_q": size_q,
+            f"event[{k}].size": share * size,
+            f"event[{k}].size_q": share * size_q,
             f"event[{k}].r": getattr(event, "r_pu", 0.0),
             f"event[{k}].x": getattr(event, "x_pu", 0.0),
             f"event[{k}].rise": getattr(event, "rise_s", 0.0),
@@ -228,6 +236,7 @@ def _slot_values(case: Case, events: Sequence[Any], first: int) -> dict[str, flo
             f"event[{k}].delay": getattr(event, "delay_s", 0.0),
             f"event[{k}].breaker": getattr(event, "breaker_s", 0.0),
             f"event[{k}].filter": getattr(event, "filter_s", 0.0),
+            f"event[{k}].frequency": frequency_hz,
         }
     return values
 

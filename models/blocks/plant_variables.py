@@ -25,6 +25,13 @@ EVENT_CODES = {
     "frequency_trip": 10,
     "device_trip": 11,
 }
+WAVE_CODES = {"steady": 0, "sine": 1, "square": 2, "noise": 3}
+_WAVE_WORDS = {
+    "steady": "size, after a rise where there is one",
+    "sine": "size sin(2 pi frequency (t - start)), in equal stairs of at most 20 ms",
+    "square": "size in the first half of each period, -size in the second",
+    "noise": "normal with standard deviation size every 20 ms; load_step of target 0: a share of each load",
+}
 _EVENT_WORDS = {
     "none": "slot not in use",
     "bus_fault": "three-phase fault at a bus through r + jx",
@@ -117,6 +124,7 @@ def event_variables(slots: int, provided: Mapping[str, float | int]) -> list[Var
     """Return the parameters of the event slots; `provided`: name -> start value in a slot in use."""
     items = tuple((name, code, _EVENT_WORDS[name]) for name, code in EVENT_CODES.items())
     kind = Enumeration("EventKind", items)
+    wave = Enumeration("EventWave", tuple((n, code, _WAVE_WORDS[n]) for n, code in WAVE_CODES.items()))
     texts = {
         "start": ("s", "start time", 0.0),
         "end": ("s", "end time; 1e30: no end", NO_LIMIT),
@@ -129,6 +137,7 @@ def event_variables(slots: int, provided: Mapping[str, float | int]) -> list[Var
         "delay": ("s", "how long the frequency must be beyond the threshold", 0.0),
         "breaker": ("s", "from the relay's order until the breaker is open", 0.1),
         "filter": ("s", "time constant with which the relay measures", 0.05),
+        "frequency": ("Hz", "of a wave; of noise where its spectrum has fallen to half", 0.0),
     }
     variables = []
     for k in range(1, slots + 1):
@@ -136,23 +145,23 @@ def event_variables(slots: int, provided: Mapping[str, float | int]) -> list[Var
             name = f"event[{k}].{key}"
             value = provided.get(name, start)
             variables.append(Variable(name, "parameter", text, unit=unit, start=value, tunable=True))
-        name = f"event[{k}].kind"
-        variables.append(
-            Variable(
-                name,
-                "parameter",
-                "what happens",
-                type="Enumeration",
-                start=provided.get(name, 0),
-                enumeration=kind,
-                tunable=True,
-            )
-        )
+        variables.append(_choice(f"event[{k}].kind", "what happens", kind, provided))
         text = (
             "number of the bus, branch, machine, load, shunt or device at a bus in the case, from 1; "
             "classical machines last"
         )
-        name = f"event[{k}].target"
-        target = provided.get(name, 1)
-        variables.append(Variable(name, "parameter", text, type="Integer", start=target, tunable=True))
+        variables.append(_whole(f"event[{k}].target", text, 1, provided))
+        text = "how a step of a load or set-point goes on"
+        variables.append(_choice(f"event[{k}].wave", text, wave, provided))
+        variables.append(_whole(f"event[{k}].seed", "of the random numbers of noise", 0, provided))
     return variables
+
+
+def _choice(name: str, text: str, of: Enumeration, provided: Mapping[str, float | int]) -> Variable:
+    start = provided.get(name, 0)
+    return Variable(name, "parameter", text, type="Enumeration", start=start, enumeration=of, tunable=True)
+
+
+def _whole(name: str, text: str, start: int, provided: Mapping[str, float | int]) -> Variable:
+    start = int(provided.get(name, start))
+    return Variable(name, "parameter", text, type="Integer", start=start, tunable=True)

@@ -221,7 +221,7 @@ def _check_slack_of(part: set[int], slacks: list[Machine]) -> None:
 
 
 def target_index(case: CaseTables, event: Any) -> int:
-    """Return the position of the event's target among the rows of its table in `case`.
+    """Return the position of the event's target among the rows of its table in `case`; -1: it is all of them.
 
     Raises
     ------
@@ -230,8 +230,11 @@ def target_index(case: CaseTables, event: Any) -> int:
     """
     if event.kind.startswith("frequency"):
         _check_threshold(case, event)
+    kind, event = event.kind, getattr(event, "steady", event)
+    if event.kind == "load_noise":
+        return -1
     if hasattr(event, "load") and event.bus is not None:
-        return _load_at(case, event.kind, event.bus)
+        return _load_at(case, kind, event.bus)
     if event.kind == "bus_fault":
         numbers = [bus.number for bus in case.buses]
         if event.bus not in numbers:
@@ -250,10 +253,10 @@ def target_index(case: CaseTables, event: Any) -> int:
     )  # in the plant a series capacitor is among the SVCs too
     name = getattr(event, table)
     if name not in names:
-        raise CaseError(f"{case.name}: {event.kind}: {table} {name!r} does not exist; {nearest(name, names)}")
+        raise CaseError(f"{case.name}: {kind}: {table} {name!r} does not exist; {nearest(name, names)}")
     if event.kind.startswith("vref") and _excitation(case.machines[names.index(name)]) == "constant":
         raise CaseError(
-            f"{case.name}: {event.kind}: machine {name!r} has constant excitation, so no voltage set-point, "
+            f"{case.name}: {kind}: machine {name!r} has constant excitation, so no voltage set-point, "
             "allowed: a machine whose exciter regulates"
         )
     return names.index(name)

@@ -161,6 +161,104 @@ class LoadStep(_Lasting, _Ramp, _AtLoad):
         return self
 
 
+class Oscillation(_Lasting):
+    """A voltage set-point, a mechanical power or a load swings about its value from `start_s` on.
+
+    A sine moves in equal stairs of at most 20 ms, 24 a period or more, whose first harmonic is the sine's.
+    """
+
+    kind: Literal["oscillation"] = "oscillation"
+    on: Literal["voltage_reference", "mechanical_power", "load"]  #: what swings
+    machine: Target | None = None  #: name of the machine; of a load `load` or `bus`
+    load: Target | None = None  #: name of the load; or `bus`
+    bus: BusNumber | None = None  #: where the load is; or `load`
+    frequency_hz: Annotated[float, Field(strict=True, ge=1e-4, le=10.0)]  #: of its first harmonic
+    #: amplitude: as of `vref_step`, `pm_step`, `load_step`; of a load also `p_pu`, `q_pu`
+    size_pu: Number | None = None
+    p_pu: Number | None = None  #: amplitude of a load's active power, of the system base
+    q_pu: Number | None = None  #: amplitude of a load's reactive power, of the system base
+    shape: Literal["sine", "square"] = "sine"  #: a square wave leaps each half period, from above
+    harmonics: tuple[Number, ...] = ()  #: amplitudes of harmonics 2, 3, ... of a sine, shares of the first
+
+    @model_validator(mode="after")
+    def _acts(self) -> Self:
+        if (self.machine is None) == (self.on != "load"):
+            other = "load or bus" if self.on == "load" else "machine"
+            raise ValueError(f"an oscillation on {self.on} names its target by {other}")
+        if self.on != "load" and (self.size_pu is None or self._of_load != (None,) * 4):
+            raise ValueError(f"an oscillation on {self.on} has size_pu, no load, bus, p_pu, q_pu")
+        if self.shape == "square" and self.harmonics:
+            raise ValueError("a square wave has harmonics of its own, allowed: shape = 'sine' with harmonics")
+        if not self.frequency_hz * (1 + len(self.harmonics)) <= 10.0:
+            count = 1 + len(self.harmonics)
+            raise ValueError(f"harmonic {count} of {self.frequency_hz:g} Hz, allowed: up to 10 Hz")
+        if self.on == "load":
+            _load_step(self)
+        return self
+
+    @property
+    def _of_load(self) -> tuple[Any, ...]:
+        return self.load, self.bus, self.p_pu, self.q_pu
+
+    @property
+    def steady(self) -> Any:
+        """The event that holds its size."""
+        if self.on == "load":
+            return _load_step(self)
+        kind = {"voltage_reference": VrefStep, "mechanical_power": PmStep}[self.on]
+        return kind.model_validate(
+            {"machine": self.machine, "size_pu": self.size_pu, "start_s": self.start_s}
+        )
+
+    @property
+    def waves(self) -> tuple[tuple[str, float, float], ...]:
+        """Shape, frequency (Hz) and share of the size of each wave that it consists of."""
+        shares = (1.0, *self.harmonics)
+        return tuple((self.shape, k * self.frequency_hz, share) for k, share in enumerate(shares, start=1))
+
+
+class LoadNoise(_Lasting):
+    """Loads fluctuate at random about their values, both powers in proportion, each load by itself.
+
+    A stationary Ornstein-Uhlenbeck process every 20 ms, of normal distribution, its spectrum flat up to
+    `corner_hz`. It follows from the seed, the load's number in the case and the time alone.
+    """
+
+    kind: Literal["load_noise"] = "load_noise"
+    load: Target | None = None  #: name of the load, or `bus`; without both: every load
+    bus: BusNumber | None = None  #: where the load is; or `load`
+    size_pu: Annotated[float, Field(strict=True, gt=0.0, le=1.0)]  #: standard deviation, share of the load
+    #: at which its spectrum has fallen to half
+    corner_hz: Annotated[float, Field(strict=True, ge=1e-3, le=5.0)] = 0.5
+    seed: Annotated[int, Field(strict=True, ge=0, le=2147483647)] = 0  #: of its random numbers
+
+    @model_validator(mode="after")
+    def _acts(self) -> Self:
+        if self.load is not None or self.bus is not None:
+            _load_step(self)
+        return self
+
+    @property
+    def steady(self) -> Any:
+        """The event that holds its size at the load; itself where it acts on every load."""
+        return self if self.load is None and self.bus is None else _load_step(self)
+
+    @property
+    def waves(self) -> tuple[tuple[str, float, float], ...]:
+        """As of `Oscillation`."""
+        return (("noise", self.corner_hz, 1.0),)
+
+
+def _load_step(event: Any) -> LoadStep:
+    """The load step of the target and size of an event; its message alone where they are none."""
+    keys = ("load", "bus", "size_pu", "p_pu", "q_pu", "start_s")
+    try:
+        return LoadStep.model_validate({key: getattr(event, key, None) for key in keys})
+    except ValidationError as error:
+        text = str(error.errors()[0]["ctx"]["error"])
+        raise ValueError(text.replace("a load_step", f"the {event.kind}")) from None
+
+
 class MachineTrip(_Event):
     """`machine` is disconnected from its bus at `start_s`."""
 
@@ -226,6 +324,8 @@ Event = Annotated[
     | PmPulse
     | PmStep
     | LoadStep
+    | Oscillation
+    | LoadNoise
     | MachineTrip
     | DeviceTrip
     | ShuntSwitch
@@ -243,6 +343,8 @@ EVENT_KINDS = (
     "pm_pulse",
     "pm_step",
     "load_step",
+    "oscillation",
+    "load_noise",
     "machine_trip",
     "device_trip",
     "shunt_switch",
@@ -258,6 +360,11 @@ def instants(event: Any) -> tuple[float, ...]:
     rises = (event.start_s + event.rise_s,) if getattr(event, "rise_s", 0.0) > 0.0 else ()
     end = getattr(event, "end_s", None)
     return (event.start_s, *rises, *(() if end is None else (end,)))
+
+
+def slot_count(events: Iterable[Any]) -> int:
+    """Return how many slots of a plant they need: one each, and one for each harmonic of an oscillation."""
+    return sum(len(getattr(event, "waves", (None,))) for event in events)
 
 
 _ONE: TypeAdapter[Any] = TypeAdapter(Event)

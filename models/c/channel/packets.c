@@ -5,7 +5,7 @@
 
 #include "channel_variables.h"
 #include "outage.h"
-#include "random.h"
+#include "../block/random.h"
 
 enum { STREAM_JITTER = 1, STREAM_TABLE, STREAM_STATE, STREAM_LOSS };
 enum { DUE = 0, STAMP = 1, FATE = 2, PACKET_SIZE = 3 };

@@ -2,7 +2,7 @@
 
 #include <math.h>
 
-#include "random.h"
+#include "../block/random.h"
 
 static const double SLACK = 1e-10; /* s */
 static const double TURN = 6.28318530717958647692;

@@ -5,7 +5,7 @@
 
 #include "../block/sampled.h"
 #include "../channel/history.h"
-#include "../channel/random.h"
+#include "../block/random.h"
 #include "../channel/signal_fault.h"
 
 static const double SLACK = 1e-10; /* s; instants closer than this count as equal */

@@ -9,8 +9,7 @@
 #include "../start/failure.h"
 #include "relay.h"
 #include "topology.h"
-
-static const double RISE_STEP_S = 0.02; /* longest stair of a ramp */
+#include "wave.h"
 
 static const char *kind_name(int kind)
 {
@@ -44,10 +43,9 @@ static int is_regulated(const Block *b, const Plan *plan, size_t machine)
 }
 
 /* Times and numbers that every kind has. */
-static BlockStatus check_numbers(const double *p, size_t slot, int kind, BlockMessage *message)
+static BlockStatus check_numbers(const double *p, const int *i, size_t slot, BlockMessage *message)
 {
-    const int ramps = kind == EVENT_LOAD_STEP || kind == EVENT_VREF_PULSE || kind == EVENT_PM_PULSE;
-    const double most = ramps ? p[SLOT_END] - p[SLOT_START] : 0.0;
+    const int kind = i[SLOT_KIND];
 
     for (size_t j = 0; j < SLOT_REALS; ++j)
         if (!(fabs(p[j]) <= 1e300))
@@ -57,10 +55,7 @@ static BlockStatus check_numbers(const double *p, size_t slot, int kind, BlockMe
         return plant_fail(message, BLOCK_ERROR,
                           "event[%zu] (%s): end = %g s with start = %g s, allowed: end > start (1e30 for no end)",
                           slot, kind_name(kind), p[SLOT_END], p[SLOT_START]);
-    if (!(p[SLOT_RISE] >= 0.0 && p[SLOT_RISE] <= most))
-        return plant_fail(message, BLOCK_ERROR, "event[%zu] (%s): rise = %g s, allowed: 0 to %g", slot,
-                          kind_name(kind), p[SLOT_RISE], most);
-    return BLOCK_OK;
+    return wave_check(p, i, slot, kind_name(kind), message);
 }
 
 static BlockStatus check_slot(const Block *b, const Plan *plan, const Network *net, size_t k, BlockMessage *message)
@@ -73,10 +68,11 @@ static BlockStatus check_slot(const Block *b, const Plan *plan, const Network *n
         return plant_fail(message, BLOCK_ERROR, "event[%zu].kind = %d, allowed: 0 to %d", k + 1, kind,
                           (int)EVENT_KINDS - 1);
     const size_t count = target_count(plan, net, kind);
-    if (target < 1 || (size_t)target > count)
-        return plant_fail(message, BLOCK_ERROR, "event[%zu].target = %d for %s, allowed: 1 to %zu", k + 1, target,
-                          kind_name(kind), count);
-    const BlockStatus status = check_numbers(p, k + 1, kind, message);
+    const int least = kind == EVENT_LOAD_STEP && i[SLOT_WAVE] == WAVE_NOISE ? 0 : 1;   /* 0: every load */
+    if (target < least || target > (int)count)
+        return plant_fail(message, BLOCK_ERROR, "event[%zu].target = %d for %s, allowed: %d to %zu", k + 1, target,
+                          kind_name(kind), least, count);
+    const BlockStatus status = check_numbers(p, i, k + 1, message);
     if (status != BLOCK_OK) return status;
     if (kind == EVENT_BUS_FAULT
         && (!(p[SLOT_R] >= 0.0) || !(p[SLOT_R] * p[SLOT_R] + p[SLOT_X] * p[SLOT_X] >= 1e-16)))
@@ -101,56 +97,16 @@ BlockStatus event_check(const Block *b, const Plan *plan, const Network *net, Bl
     return BLOCK_OK;
 }
 
-/* A ramp is climbed in equal stairs of at most RISE_STEP_S, each at the ramp's height in its middle: what it
- * moves in all, power times time, is that of the ramp. Stair k ends at start + (k + 1) stairs. */
-static double stairs(const double *p) { return ceil(p[SLOT_RISE] / RISE_STEP_S); }
-
-static double stair_time(const double *p, double k) { return p[SLOT_START] + p[SLOT_RISE] * (k / stairs(p)); }
-
-/* The stair that t lies on, from 0; the number of stairs beyond the last. */
-static double stair_at(const double *p, double t)
-{
-    const double n = stairs(p);
-    double k = floor((t - p[SLOT_START]) / p[SLOT_RISE] * n);
-
-    if (!(k >= 0.0)) return 0.0;
-    if (k < n && stair_time(p, k + 1.0) <= t) k += 1.0;   /* rounding */
-    if (k > 0.0 && stair_time(p, k) > t) k -= 1.0;
-    return k < n ? k : n;
-}
-
-/* Share of the step that is reached at t, after the start. */
-static double risen(const double *p, double t)
-{
-    const double k = p[SLOT_RISE] > 0.0 ? stair_at(p, t) : 0.0;
-    return p[SLOT_RISE] > 0.0 && k < stairs(p) ? (k + 0.5) / stairs(p) : 1.0;
-}
-
-/* Next time after t at which the slot does something by itself. */
-static double slot_next(const double *p, double t)
-{
-    if (p[SLOT_START] > t) return p[SLOT_START];
-    if (p[SLOT_RISE] > 0.0 && stair_at(p, t) < stairs(p)) return stair_time(p, stair_at(p, t) + 1.0);
-    return p[SLOT_END] > t && p[SLOT_END] < 1e29 ? p[SLOT_END] : INFINITY;
-}
-
 double event_next(const Block *b, const Plan *plan, double t)
 {
     const double relay = relay_next(b, plan, t), ports = port_rest_next(b->memory, plan, t);
     double next = relay < ports ? relay : ports;
     for (size_t k = 0; k < plan->n_slot; ++k) {
         if (slot_integers(b, plan, k)[SLOT_KIND] == EVENT_NONE) continue;
-        const double own = slot_next(slot_reals(b, plan, k), t);
+        const double own = wave_next(slot_reals(b, plan, k), slot_integers(b, plan, k), t);
         if (own < next) next = own;
     }
     return next;
-}
-
-/* Whether t is one of the slot's times. */
-static int slot_acts(const double *p, double t)
-{
-    if (t == p[SLOT_START] || t == p[SLOT_END]) return 1;
-    return p[SLOT_RISE] > 0.0 && t > p[SLOT_START] && stair_time(p, stair_at(p, t)) == t;
 }
 
 EventReach event_reach(const Block *b, const Plan *plan, double t)
@@ -159,10 +115,10 @@ EventReach event_reach(const Block *b, const Plan *plan, double t)
     int looks = relay_looks(b, plan, t) || port_rest_due(b->memory, plan, t), steps = 0;
 
     for (size_t k = 0; k < plan->n_slot; ++k) {
-        const int kind = slot_integers(b, plan, k)[SLOT_KIND];
+        const int *i = slot_integers(b, plan, k), kind = i[SLOT_KIND];
         if (relay_is(kind) && b->memory[plan->relay + RELAY_ROWS * k + RELAY_OPENS] == t) return EVENT_SWITCHES;
-        if (kind == EVENT_NONE || relay_is(kind) || !slot_acts(slot_reals(b, plan, k), t)) continue;
-        if (kind != EVENT_VREF_PULSE && kind != EVENT_PM_PULSE) return EVENT_SWITCHES;
+        if (kind == EVENT_NONE || relay_is(kind) || !wave_acts(slot_reals(b, plan, k), i, t)) continue;
+        if (!slot_sets(kind)) return EVENT_SWITCHES;
         steps = 1;
     }
     if (steps) reach = EVENT_STEPS;
@@ -236,12 +192,39 @@ static void step_load_port(double *memory, const Plan *plan, size_t load, double
     }
 }
 
-/* Adds what an active slot asks for: switches and steps to memory, admittances to `extra`. */
-static void apply_slot(const Plan *plan, const Network *net, const double *p, const int *i, double share,
-                       double *memory, double *extra)
+/* size + j size_q at the load's operating voltage, of its characteristic. */
+static void step_load(const Plan *plan, const Network *net, size_t load, double size, double size_q, double *memory,
+                      double *extra)
 {
+    const size_t bus = (size_t)net->load_bus[load];
+    const double v = net->load[L_V0 * plan->n_load + load];
+
+    extra[bus] += size / (v * v);
+    extra[plan->n_bus + bus] -= size_q / (v * v);
+    step_load_port(memory, plan, load, size, size_q);
+}
+
+/* Noise of every load, each of its own powers. */
+static void step_loads(const Plan *plan, const Network *net, const double *p, const int *i, double t, double *memory,
+                       double *extra)
+{
+    for (size_t load = 0; load < plan->n_load; ++load) {
+        const double share = p[SLOT_SIZE] * wave_at(p, i, load, t);
+        step_load(plan, net, load, share * net->load[L_P * plan->n_load + load],
+                  share * net->load[L_Q * plan->n_load + load], memory, extra);
+    }
+}
+
+/* Adds what a slot active at t asks for: switches and steps to memory, admittances to `extra`. */
+static void apply_slot(const Plan *plan, const Network *net, const double *p, const int *i, double t, double *memory,
+                       double *extra)
+{
+    if (i[SLOT_TARGET] == 0) {
+        step_loads(plan, net, p, i, t, memory, extra);
+        return;
+    }
     const size_t n_bus = plan->n_bus, target = (size_t)i[SLOT_TARGET] - 1;
-    const double size = share * p[SLOT_SIZE], size_q = share * p[SLOT_SIZE_Q];
+    const double share = wave_at(p, i, target, t), size = share * p[SLOT_SIZE], size_q = share * p[SLOT_SIZE_Q];
 
     switch (i[SLOT_KIND]) {
     case EVENT_BUS_FAULT: {
@@ -251,14 +234,7 @@ static void apply_slot(const Plan *plan, const Network *net, const double *p, co
         break;
     }
     case EVENT_FREQUENCY_SHED:
-    case EVENT_LOAD_STEP: {   /* size + j size_q at the load's operating voltage, of its characteristic */
-        const size_t bus = (size_t)net->load_bus[target];
-        const double v = net->load[L_V0 * plan->n_load + target];
-        extra[bus] += size / (v * v);
-        extra[n_bus + bus] -= size_q / (v * v);
-        step_load_port(memory, plan, target, size, size_q);
-        break;
-    }
+    case EVENT_LOAD_STEP: step_load(plan, net, target, size, size_q, memory, extra); break;
     case EVENT_SHUNT_SWITCH: { /* size 1: in, 0: out */
         const size_t bus = (size_t)net->item_bus[target];
         const double sign = (p[SLOT_SIZE] > 0.5 ? 1.0 : 0.0) - (net->item_status[target] != 0 ? 1.0 : 0.0);
@@ -284,8 +260,8 @@ static void apply_steps(Block *b, const Plan *plan, const Network *net, double t
     for (size_t k = 0; k < plan->n_slot; ++k) {
         const double *p = slot_reals(b, plan, k);
         const int *i = slot_integers(b, plan, k);
-        const int step = i[SLOT_KIND] == EVENT_VREF_PULSE || i[SLOT_KIND] == EVENT_PM_PULSE;
-        if (step && p[SLOT_START] <= t && t < p[SLOT_END]) apply_slot(plan, net, p, i, risen(p, t), memory, NULL);
+        if (slot_sets(i[SLOT_KIND]) && p[SLOT_START] <= t && t < p[SLOT_END])
+            apply_slot(plan, net, p, i, t, memory, NULL);
     }
 }
 
@@ -295,7 +271,7 @@ static int switches(const Block *b, const Plan *plan, size_t k, double t)
     const double *p = slot_reals(b, plan, k);
     const int kind = slot_integers(b, plan, k)[SLOT_KIND];
 
-    if (kind == EVENT_NONE || kind == EVENT_VREF_PULSE || kind == EVENT_PM_PULSE) return 0;
+    if (kind == EVENT_NONE || slot_sets(kind)) return 0;
     if (relay_is(kind)) return b->memory[plan->relay + RELAY_ROWS * k + RELAY_OPENS] <= t;
     return p[SLOT_START] <= t && t < p[SLOT_END];
 }
@@ -316,9 +292,8 @@ BlockStatus event_apply(Block *b, const Plan *plan, const Network *net, EventRea
     reset_ports(memory, plan, net);
 
     for (size_t k = 0; k < plan->n_slot; ++k) {
-        const double *p = slot_reals(b, plan, k);
         if (switches(b, plan, k, t))
-            apply_slot(plan, net, p, slot_integers(b, plan, k), risen(p, t), memory, extra);
+            apply_slot(plan, net, slot_reals(b, plan, k), slot_integers(b, plan, k), t, memory, extra);
     }
     for (size_t k = 0; k < plan->n_machine; ++k)
         if (memory[plan->running + k] > 0.5) ++running;

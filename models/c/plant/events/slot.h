@@ -8,6 +8,12 @@ typedef enum {
     EVENT_LOAD_STEP, EVENT_PM_PULSE, EVENT_MACHINE_TRIP, EVENT_SHUNT_SWITCH, EVENT_FREQUENCY_SHED,
     EVENT_FREQUENCY_TRIP, EVENT_DEVICE_TRIP, EVENT_KINDS
 } EventKind;
+/* How what it asks for goes on in time (wave.h). */
+typedef enum { WAVE_STEADY, WAVE_SINE, WAVE_SQUARE, WAVE_NOISE, WAVE_KINDS } WaveKind;
+
+/* Whether a kind moves a set-point; whether it has a size that may change in time. */
+static inline int slot_sets(int kind) { return kind == EVENT_VREF_PULSE || kind == EVENT_PM_PULSE; }
+static inline int slot_changes(int kind) { return slot_sets(kind) || kind == EVENT_LOAD_STEP; }
 
 static inline const double *slot_reals(const Block *b, const Plan *plan, size_t k)
 {

@@ -115,12 +115,13 @@ enum {
  * and what they hold beyond `b` of all three, 2 n_port each. */
 enum { W_TIME, W_RATIO, W_REST, W_WAIT, W_FIRST, W_SECOND, W_THIRD, W_V };
 
-/* FMI parameters of a slot: Reals start, end, size, size_q, r, x, rise and those of a relay; integers kind, target. */
+/* FMI parameters of a slot: Reals start, end, size, size_q, r, x, rise, those of a relay, frequency;
+ * integers kind, target, wave, seed. */
 enum {
     SLOT_START, SLOT_END, SLOT_SIZE, SLOT_SIZE_Q, SLOT_R, SLOT_X, SLOT_RISE,
-    SLOT_THRESHOLD, SLOT_DELAY, SLOT_BREAKER, SLOT_FILTER, SLOT_REALS
+    SLOT_THRESHOLD, SLOT_DELAY, SLOT_BREAKER, SLOT_FILTER, SLOT_FREQUENCY, SLOT_REALS
 };
-enum { SLOT_KIND, SLOT_TARGET, SLOT_INTEGERS };
+enum { SLOT_KIND, SLOT_TARGET, SLOT_WAVE, SLOT_SEED, SLOT_INTEGERS };
 enum {  /* relay of a slot: when it last looked (-INFINITY: never), the angle then, the frequency that it sees in pu of
            the rated one, since when that is beyond the threshold and when the breaker opens (INFINITY: not at all) */
     RELAY_TIME, RELAY_ANGLE, RELAY_FREQUENCY, RELAY_SINCE, RELAY_OPENS, RELAY_ROWS

@@ -51,14 +51,40 @@ def test_every_number_of_lanes_gives_the_same_bits(plants: PlantLanes) -> None:
             np.testing.assert_array_equal(beside.outputs, alone.outputs)
 
 
+def test_waves_and_noise_have_the_same_bits_in_lanes_and_the_numbers_of_another_tool(
+    plants: PlantLanes,
+) -> None:
+    case, f = load_case(CASE), 0.63
+    swing = {"kind": "oscillation", "frequency_hz": f, "start_s": 0.05}
+    events = [
+        [swing | {"on": "voltage_reference", "machine": "G2", "size_pu": 0.01, "harmonics": [0.2]}],
+        [swing | {"on": "mechanical_power", "machine": "G3", "size_pu": 0.02, "shape": "square"}],
+        [swing | {"on": "load", "bus": 7, "p_pu": 0.5, "end_s": 0.33}],
+        [{"kind": "load_noise", "size_pu": 0.02, "start_s": 0.0, "seed": 5}],
+        [{"kind": "load_noise", "size_pu": 0.02, "start_s": 0.0, "seed": 5, "load": "L9"}],
+    ]
+    rows = [event_parameters(case, events_of(each, where="test")) for each in events]
+    alone = plants.run(rows, stop_s=1.0, lanes=1)
+    assert np.all(np.isfinite(alone.outputs)) and not any(alone.errors)
+    assert np.all(np.abs(alone.of("G1_pe")[-1] - alone.of("G1_pe")[0]) > 1e-5)
+    for lanes in (2, 4, 8):
+        if lanes <= plants.group.lanes:
+            beside = plants.run(rows, stop_s=1.0, lanes=lanes)
+            np.testing.assert_array_equal(beside.outputs, alone.outputs)
+    check_with_fmpy(plants, rows[2:4], 0.4)
+
+
 def test_a_run_has_the_numbers_of_another_tool(plants: PlantLanes) -> None:
     """The FMU's own binary under fmpy; its step from k h is (k + 1) h - k h, rounded."""
-    rows = scenarios(2)
-    run = plants.run(rows, stop_s=0.4)
+    check_with_fmpy(plants, scenarios(2), 0.4)
+
+
+def check_with_fmpy(plants: PlantLanes, rows: list[dict], stop_s: float) -> None:
+    run = plants.run(rows, stop_s=stop_s)
     for k, row in enumerate(rows):
         result = fmpy.simulate_fmu(
             str(plants.file.path),
-            stop_time=0.4,
+            stop_time=stop_s,
             output_interval=0.01,
             step_size=0.01,
             start_values=row,

@@ -22,7 +22,12 @@ GOOD = [
     {"kind": "frequency_shed", "load": "L9", "size_pu": 0.1, "threshold_hz": 59.3},
     {"kind": "frequency_trip", "machine": "G3", "threshold_hz": 61.5, "delay_s": 0.2},
     {"kind": "device_trip", "device": "svc1", "start_s": 1.0},
-]
+    {"kind": "oscillation", "on": "voltage_reference", "machine": "G2", "size_pu": 0.01, "frequency_hz": 0.5,
+     "start_s": 1.0, "harmonics": [0.1]},
+    {"kind": "oscillation", "on": "load", "bus": 9, "p_pu": 0.2, "frequency_hz": 0.5, "start_s": 1.0},
+    {"kind": "load_noise", "load": "L9", "size_pu": 0.01, "start_s": 1.0},
+    {"kind": "load_noise", "size_pu": 0.01, "start_s": 1.0},
+]  # fmt: skip
 
 
 def test_every_kind_has_its_target() -> None:
@@ -30,10 +35,11 @@ def test_every_kind_has_its_target() -> None:
     case = load_case("two-area-thesis").with_changes({"svcs": {"svc1": svc}})
     events = events_of(GOOD, where="here")
     assert {e.kind for e in events} == set(EVENT_KINDS)
-    assert [target_index(case, e) for e in events] == [7, 8, 8, 0, 1, 2, 3, 1, 1, 1, 1, 2, 0]
+    assert [target_index(case, e) for e in events] == [7, 8, 8, 0, 1, 2, 3, 1, 1, 1, 1, 2, 0, 1, 1, 1, -1]
     check_events(case, events)
 
 
+SWING = {"kind": "oscillation", "on": "voltage_reference", "start_s": 1.0}
 BAD = [
     ({"kind": "bus_foult"}, r"here: kind = 'bus_foult'; did you mean bus_fault\?"),
     ({"kind": "bus_fault", "bus": 8, "start_s": 1.0}, "end_s is missing"),
@@ -53,6 +59,24 @@ BAD = [
     ),
     ({"kind": "frequency_shed", "bus": 7, "size_pu": 1.5, "threshold_hz": 59.0}, "size_pu = 1.5"),
     ({"kind": "load_step", "bus": 7, "load": "L7", "size_pu": 0.1, "start_s": 1.0}, "by load or by bus"),
+    (SWING | {"machine": "G1", "frequency_hz": 11.0, "size_pu": 0.1}, "frequency_hz = 11.0"),
+    (
+        SWING | {"bus": 7, "frequency_hz": 1.0, "size_pu": 0.1},
+        "on voltage_reference names its target by machine",
+    ),
+    (SWING | {"machine": "G1", "frequency_hz": 1.0}, "on voltage_reference has size_pu, no load"),
+    (
+        SWING | {"machine": "G1", "frequency_hz": 4.0, "size_pu": 0.1, "harmonics": [0.1] * 2},
+        "harmonic 3 of 4 Hz",
+    ),
+    (
+        SWING | {"machine": "G1", "frequency_hz": 1.0, "size_pu": 0.1, "shape": "square", "harmonics": [0.1]},
+        "a square wave has harmonics of its own",
+    ),
+    (SWING | {"on": "load", "frequency_hz": 1.0, "size_pu": 0.1}, "names its target by load or by bus"),
+    (SWING | {"on": "load", "bus": 7, "frequency_hz": 1.0}, "the oscillation has size_pu, or p_pu and q_pu"),
+    ({"kind": "load_noise", "bus": 7, "load": "L7", "size_pu": 0.1, "start_s": 1.0}, "by load or by bus"),
+    ({"kind": "load_noise", "size_pu": 0.1, "start_s": 1.0, "corner_hz": 0.0}, "corner_hz = 0.0"),
 ]
 
 
