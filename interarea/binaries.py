@@ -24,6 +24,7 @@ from interarea.fmu_build.write.compile import (
     packed_for_travel,
     shipped_name,
 )
+from interarea.fmu_build.write.device_slopes import slope_sources
 from interarea.fmu_build.write.lane_library import group_sources
 from interarea.fmu_build.write.sources import gather_sources, record_source, source_files
 from interarea.models.blocks import controller, supervisor
@@ -51,6 +52,7 @@ def kinds() -> Iterator[tuple[str, dict[str, bytes]]]:
     for kind, c_files in blocks.items():
         yield kind, source_files((*c_files, record_source()))
     yield "plant-group", gather_sources(group_sources())
+    yield "plant-slopes", slope_sources(plant_sources())
     yield "kernel", kernel_sources()
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import ctypes
+import functools
+from collections.abc import Iterable
 from ctypes import c_double, c_int, c_size_t, c_void_p
 from pathlib import Path
 
@@ -13,10 +15,30 @@ from interarea.models.blocks.binary_table import pack_record
 from interarea.models.blocks.variables import Block
 
 from ..errors import BuildError
-from .lane_library import plant_group
+from .compile import compile_library, host_platform
+from .sources import gather_sources, record_source
 
 Vector = npt.NDArray[np.float64]
 _REAL = ctypes.POINTER(c_double)
+_SLOPES = Path(__file__).resolve().parents[1] / "c" / "group" / "device_slopes.c"
+
+
+def slope_sources(plant: Iterable[Path]) -> dict[str, bytes]:
+    """Return the C files of the library with the slopes of a plant's devices, by name.
+
+    plant : C files of the plant (`plant_sources`, `Block.sources`).
+    """
+    return gather_sources((*plant, record_source(), _SLOPES))
+
+
+@functools.cache
+def _loaded(path: Path) -> ctypes.CDLL:
+    try:
+        c = ctypes.CDLL(str(path))
+    except OSError as error:
+        raise BuildError(f"cannot load the library of the plant's devices {path}: {error}") from error
+    c.interarea_devices_size.restype = c.interarea_devices_sources.restype = c_size_t
+    return c
 
 
 class DeviceSlopes:
@@ -30,7 +52,9 @@ class DeviceSlopes:
 
     def __init__(self, block: Block, *, cache: Path | None = None) -> None:
         table = block.table
-        self._c = plant_group(block.sources, cache=cache).devices
+        self._c = _loaded(
+            compile_library("plant-slopes", slope_sources(block.sources), host_platform(), cache=cache)
+        )
         packed = pack_record(block.data)
         self._record = np.frombuffer(packed, dtype=np.uint8).copy()
         layout = (c_size_t * 9)(*(int(n) for n in table.layout()))

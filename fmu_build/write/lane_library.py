@@ -14,8 +14,7 @@ from ..errors import BuildError
 from .compile import compile_library, host_platform
 from .sources import fmi_sources, gather_sources, record_source
 
-_FOLDER = Path(__file__).resolve().parents[1] / "c" / "group"
-_SOURCES = (_FOLDER / "fmu_group.c", _FOLDER / "device_slopes.c")
+_GROUP = Path(__file__).resolve().parents[1] / "c" / "group" / "fmu_group.c"
 _ALIGNMENT = 64
 
 
@@ -32,9 +31,6 @@ class GroupLibrary:
         c.interarea_group_size.argtypes = [c_void_p, c_size_t]
         c.interarea_group_open.argtypes = [c_void_p, c_void_p, c_size_t]
         c.interarea_group_open.restype = None
-        c.interarea_devices_size.restype = c.interarea_devices_sources.restype = c_size_t
-        #: the functions of c/group/device_slopes.h
-        self.devices = c
         #: instances that this processor steps at once
         self.lanes = int(c.interarea_group_lanes())
         #: address of `interarea_group_step`
@@ -82,7 +78,7 @@ def group_sources(plant: Iterable[Path] | None = None) -> tuple[Path, ...]:
         *(plant_sources() if plant is None else plant),
         record_source(),
         *GROUP_SOURCES,
-        *_SOURCES,
+        _GROUP,
     )
 
 
