@@ -12,6 +12,7 @@ import re
 import struct
 import sys
 from collections.abc import Callable, Iterable
+from functools import partial
 from pathlib import Path
 
 from ..finding import Report
@@ -183,83 +184,82 @@ def padding(library: RealCodeLibrary, tell: Tell) -> None:
             return
 
 
-def repeated_start(library: RealCodeLibrary, tell: Tell) -> None:
-    """Model_CheckParameters and Model_Initialize may be called several times."""
-    for swing in _SWINGS:
-        once, often = RealCode(library), RealCode(library)
-        _start(once, swing)
-        first = _run(once, range(1, _STEPS), swing)
-        _start(often, swing, times=5)
-        if _run(often, range(1, _STEPS), swing) != first:
-            tell(
-                "DLL repeated calls",
-                INTERFACE,
-                "Model_Initialize called five times gives another run than called once",
-                "start from the arguments alone: tools call it until the release time",
-            )
-            return
+def _repeated_start(library: RealCodeLibrary, swing: tuple[float, float]) -> bool:
+    once, often = RealCode(library), RealCode(library)
+    _start(once, swing)
+    first = _run(once, range(1, _STEPS), swing)
+    _start(often, swing, times=5)
+    return _run(often, range(1, _STEPS), swing) == first
 
 
-def restart(library: RealCodeLibrary, tell: Tell) -> None:
-    """Model_Initialize at time 0 after a run begins the same run again; the DLL leaves the time alone."""
-    for swing in _SWINGS:
-        model = RealCode(library)
+def _time(library: RealCodeLibrary, swing: tuple[float, float]) -> bool:
+    model = RealCode(library)
+    _start(model, swing)
+    _run(model, range(1, _STEPS), swing)
+    return bool(model.raw.time == (_STEPS - 1) * library.info.sample_time_s)
+
+
+def _restart(library: RealCodeLibrary, swing: tuple[float, float]) -> bool:
+    model, rows = RealCode(library), []
+    for _ in range(2):
         _start(model, swing)
-        first = _run(model, range(1, _STEPS), swing)
-        if model.raw.time != (_STEPS - 1) * library.info.sample_time_s:
-            tell("DLL time", INTERFACE, "Model_Outputs changes Time", "leave Time to the tool")
-            return
-        _start(model, swing)
-        if _run(model, range(1, _STEPS), swing) != first:
-            tell(
-                "DLL restart",
-                INTERFACE,
-                "after a run, Model_Initialize at time 0 does not begin the same run",
-                "set every state in Model_Initialize: time goes back in multiple runs",
-            )
-            return
+        rows.append(_run(model, range(1, _STEPS), swing))
+    return rows[0] == rows[1]
 
 
-def two_instances(library: RealCodeLibrary, tell: Tell) -> None:
-    """An instance is not disturbed by another one with other inputs."""
-    for swing in _SWINGS:
-        alone = RealCode(library)
-        _start(alone, swing)
-        first = _run(alone, range(1, _STEPS), swing)
-        one, other = RealCode(library), RealCode(library)
-        _start(one, swing)
-        _start(other, (swing[0] * 0.8, swing[1] * 2))
-        rows = []
-        for k in range(1, _STEPS):
-            _step(other, k + 3, (swing[0] * 0.8, swing[1] * 2))
-            rows.append(_step(one, k, swing))
-        if rows != first:
-            tell(
-                "DLL instances",
-                INTERFACE,
-                "an instance runs otherwise when another one runs beside it",
-                "keep no variable of a run outside the instance: no globals, no static",
-            )
-            return
+def _two_instances(library: RealCodeLibrary, swing: tuple[float, float]) -> bool:
+    alone, one, other = (RealCode(library) for _ in range(3))
+    _start(alone, swing)
+    first, beside = _run(alone, range(1, _STEPS), swing), (swing[0] * 0.8, swing[1] * 2)
+    _start(one, swing)
+    _start(other, beside)
+    rows = []
+    for k in range(1, _STEPS):
+        _step(other, k + 3, beside)
+        rows.append(_step(one, k, swing))
+    return rows == first
 
 
-def snapshot(library: RealCodeLibrary, tell: Tell) -> None:
-    """A run continued from the state arrays is the run itself."""
-    for swing in _SWINGS:
-        model = RealCode(library)
-        _start(model, swing)
-        _run(model, range(1, _STEPS // 2), swing)
-        saved = model.snapshot()
-        rows = _run(model, range(_STEPS // 2, _STEPS), swing)
-        model.restore(saved)
-        if _run(model, range(_STEPS // 2, _STEPS), swing) != rows:
-            tell(
-                "DLL snapshots",
-                INTERFACE,
-                "continued from its state arrays it runs otherwise",
-                "keep all states in IntStates, FloatStates and DoubleStates",
-            )
-            return
+def _snapshot(library: RealCodeLibrary, swing: tuple[float, float]) -> bool:
+    model, rest = RealCode(library), range(_STEPS // 2, _STEPS)
+    _start(model, swing)
+    _run(model, range(1, _STEPS // 2), swing)
+    saved = model.snapshot()
+    rows = _run(model, rest, swing)
+    model.restore(saved)
+    return _run(model, rest, swing) == rows
+
+
+#: what is compared -> whether it is the same, the rule, what is wrong if it is not, what to do
+_COMPARED: dict[str, tuple[Callable[[RealCodeLibrary, tuple[float, float]], bool], str, str, str]] = {
+    "repeated start": (
+        *(_repeated_start, "DLL repeated calls"),
+        "Model_Initialize called five times gives another run than called once",
+        "start from the arguments alone: tools call it until the release time",
+    ),
+    "time": (_time, "DLL time", "Model_Outputs changes Time", "leave Time to the tool"),
+    "restart": (
+        *(_restart, "DLL restart"),
+        "after a run, Model_Initialize at time 0 does not begin the same run",
+        "set every state in Model_Initialize: time goes back in multiple runs",
+    ),
+    "two instances": (
+        *(_two_instances, "DLL instances"),
+        "an instance runs otherwise when another one runs beside it",
+        "keep no variable of a run outside the instance: no globals, no static",
+    ),
+    "snapshot": (
+        *(_snapshot, "DLL snapshots"),
+        "continued from its state arrays it runs otherwise",
+        "keep all states in IntStates, FloatStates and DoubleStates",
+    ),
+}
+
+
+def _compare(what: str, library: RealCodeLibrary, tell: Tell) -> None:
+    same, rule, reason, advice = _COMPARED[what]
+    if not all(same(library, swing) for swing in _SWINGS):
+        tell(rule, INTERFACE, reason, advice)
 
 
 def messages(library: RealCodeLibrary, tell: Tell) -> None:
@@ -363,10 +363,7 @@ TOPICS: dict[str, Callable[[RealCodeLibrary, Tell], None]] = {
     "bounds": bounds,
     "finite outputs": finite,
     "alignment": padding,
-    "repeated start": repeated_start,
-    "restart": restart,
-    "two instances": two_instances,
-    "snapshot": snapshot,
+    **{what: partial(_compare, what) for what in _COMPARED},
     "messages": messages,
     "leaks": leaks,
 }

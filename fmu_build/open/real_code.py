@@ -15,96 +15,56 @@ from typing import Any
 from ..errors import FmuFileError
 
 #: DataType of the interface -> ctypes type
-TYPES: dict[int, Any] = {
-    1: ctypes.c_char,
-    2: ctypes.c_int8,
-    3: ctypes.c_uint8,
-    4: ctypes.c_int16,
-    5: ctypes.c_uint16,
-    6: c_int32,
-    7: ctypes.c_uint32,
-    8: c_float,
-    9: c_double,
-    10: c_char_p,
-}
+_C = "char int8 uint8 int16 uint16 int32 uint32 float double char_p"
+TYPES: dict[int, Any] = {k: getattr(ctypes, f"c_{name}") for k, name in enumerate(_C.split(), 1)}
 OK, MESSAGE, ERROR = 0, 1, 2
 #: functions that every tool calls, and those that a library may leave out
 REQUIRED = ("Model_GetInfo", "Model_CheckParameters", "Model_Initialize", "Model_Outputs", "Model_Terminate")
 OPTIONAL = ("Model_FirstCall", "Model_Iterate", "Model_PrintInfo")
 
 
+def _of(kind: Any, names: str) -> list[tuple[str, Any]]:
+    """Return fields of one type; names : with a space between."""
+    return [(name, kind) for name in names.split()]
+
+
 class _Value(ctypes.Union):
-    _fields_ = [*((f"t{k}", t) for k, t in TYPES.items())]
+    _fields_ = [(f"t{k}", t) for k, t in TYPES.items()]
 
 
 class _Signal(ctypes.Structure):
-    _fields_ = [
-        ("name", c_char_p),
-        ("description", c_char_p),
-        ("unit", c_char_p),
-        ("type", c_int32),
-        ("width", c_int32),
-    ]
+    _fields_ = [*_of(c_char_p, "name description unit"), *_of(c_int32, "type width")]
 
 
 class _Parameter(ctypes.Structure):
     _fields_ = [
-        ("name", c_char_p),
-        ("group", c_char_p),
-        ("description", c_char_p),
-        ("unit", c_char_p),
-        ("type", c_int32),
-        ("fixed", c_int32),
-        ("start", _Value),
-        ("min", _Value),
-        ("max", _Value),
+        *_of(c_char_p, "name group description unit"),
+        *_of(c_int32, "type fixed"),
+        *_of(_Value, "start min max"),
     ]
 
 
-_TEXTS = (
-    "name",
-    "model_version",
-    "description",
-    "general",
-    "created",
-    "creator",
-    "modified",
-    "modified_by",
-    "comment",
-    "history",
-)
+_TEXTS = "name model_version description general created creator modified modified_by comment history"
 
 
 class _Info(ctypes.Structure):
     _fields_ = [
         ("version", c_uint8 * 4),
-        *((text, c_char_p) for text in _TEXTS),
-        ("sample_time", c_double),
-        ("mode", c_uint8),
-        ("n_inputs", c_int32),
-        ("inputs", POINTER(_Signal)),
-        ("n_outputs", c_int32),
-        ("outputs", POINTER(_Signal)),
-        ("n_parameters", c_int32),
-        ("parameters", POINTER(_Parameter)),
-        ("n_int", c_int32),
-        ("n_float", c_int32),
-        ("n_double", c_int32),
+        *_of(c_char_p, _TEXTS),
+        *[("sample_time", c_double), ("mode", c_uint8)],
+        *[("n_inputs", c_int32), ("inputs", POINTER(_Signal))],
+        *[("n_outputs", c_int32), ("outputs", POINTER(_Signal))],
+        *[("n_parameters", c_int32), ("parameters", POINTER(_Parameter))],
+        *_of(c_int32, "n_int n_float n_double"),
     ]
 
 
 class _Instance(ctypes.Structure):
     _fields_ = [
-        ("inputs", c_void_p),
-        ("outputs", c_void_p),
-        ("parameters", c_void_p),
-        ("time", c_double),
-        ("mode", c_uint8),
-        ("error", c_char_p),
-        ("message", c_char_p),
-        ("int_states", c_void_p),
-        ("float_states", c_void_p),
-        ("double_states", c_void_p),
+        *_of(c_void_p, "inputs outputs parameters"),
+        *[("time", c_double), ("mode", c_uint8)],
+        *_of(c_char_p, "error message"),
+        *_of(c_void_p, "int_states float_states double_states"),
     ]
 
 
@@ -196,7 +156,7 @@ class RealCodeLibrary:
         i = info.contents
         self.info = Info(
             tuple(i.version),
-            {name: _text(getattr(i, name)) for name in _TEXTS},
+            {name: _text(getattr(i, name)) for name in _TEXTS.split()},
             i.sample_time,
             i.mode,
             _signals(i.inputs, i.n_inputs),
