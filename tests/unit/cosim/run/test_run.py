@@ -127,7 +127,7 @@ def test_channels_deliver_what_was_sent_their_latency_ago(by_hand: Controller) -
 
 
 def test_an_outage_is_exact_and_shows_in_valid(by_hand: Controller) -> None:
-    lost = {"signal": "G2_dw", "outages_s": [[2.0033333, 3.0]]}
+    lost = {"signal": "G2_dw", "on_loss": "zero", "outages_s": [[2.0033333, 3.0]]}
     run = run_scenario(document(channels={"remote": lost}), controller=by_hand)
     time, valid, got = run.trajectory.time_s, run.trajectory["remote.valid"], run.trajectory["remote.y"]
     np.testing.assert_array_equal(valid, ~((time >= 2.0033333) & (time < 3.0)))
