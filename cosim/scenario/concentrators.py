@@ -39,8 +39,9 @@ class ConcentratorLine(Table):
     wait_s: Seconds = 0.1  #: longest wait for a set
     relative: bool = False  #: wait from the first arrival of a set on, not from its time stamp
     latency_s: Seconds = 0.0  #: from the concentrator to the controller
-    #: what stands for a signal that is missing: zero or its last value
-    on_loss: Literal["zero", "hold"] = "zero"
+    #: what stands for a signal that is missing: zero, its last value, or that for `hold_s`
+    on_loss: Literal["zero", "hold", "hold_then_zero"] = "hold_then_zero"
+    hold_s: Seconds = 0.5  #: how long `hold_then_zero` holds
     #: of the random numbers; default: made of the concentrator's name
     seed: Annotated[int, Field(ge=0, lt=2**31)] | None = None
 
@@ -63,6 +64,7 @@ class ConcentratorLine(Table):
             "reporting_interval": self.reporting_interval_s,
             "wait": self.wait_s,
             "latency": self.latency_s,
+            "hold_time": self.hold_s,
             "relative": int(self.relative),
             "on_loss": self.on_loss,
             "seed": self.seed or 0,
@@ -111,10 +113,13 @@ class ConcentratorLine(Table):
         return self.model_copy(update={"seed": derived_seed(0, name)})
 
     def arrivals(self, start_s: float, stop_s: float) -> list[int]:
-        """Return the ticks at which a set comes out."""
+        """Return the ticks at which a set comes out, or what is held for a missing signal ends."""
         import numpy as np
 
-        due = self._sets(start_s, stop_s).due_s
+        sets = self._sets(start_s, stop_s)
+        due = sets.due_s
+        if self.on_loss == "hold_then_zero":
+            due = np.concatenate([due, due[sets.first_missing] + self.hold_s])
         scaled = due[(due > start_s) & (due < stop_s)] * TICKS_PER_SECOND
         near = np.round(scaled)
         return sorted({int(t) for t in np.where(np.abs(scaled - near) < 0.05, near, np.ceil(scaled))})

@@ -25,6 +25,7 @@ ON_MISSING = Enumeration(
     (
         ("zero", 0, "The output is zero while its signal is missing"),
         ("hold", 1, "The output keeps its last value"),
+        ("hold_then_zero", 2, "As hold for hold_time, then zero"),
     ),
 )
 
@@ -39,8 +40,8 @@ def concentrator_block(
 ) -> Block:
     """Return the block of a concentrator of so many signals: inputs ``u1``.., outputs ``y1``.., ``valid1``...
 
-    FMI parameters: ``reporting_interval``, ``wait``, ``latency`` (s), ``relative`` (Boolean), ``on_loss``,
-    ``seed``; of each signal ``latency[i]``, ``jitter[i]`` (s), ``loss[i]``, ``lost[i].start``,
+    FMI parameters: ``reporting_interval``, ``wait``, ``latency``, ``hold_time`` (s), ``relative`` (Boolean),
+    ``on_loss``, ``seed``; of each signal ``latency[i]``, ``jitter[i]`` (s), ``loss[i]``, ``lost[i].start``,
     ``lost[i].end`` (s), ``fault[i,k]`` as a channel's. Outputs besides:
     ``age`` (s) and the counts ``sent``, ``delivered``, ``dropped``, ``late`` of frames.
 
@@ -76,6 +77,7 @@ def concentrator_block(
         Variable("reporting_interval", "parameter", "Interval of stamps", unit="s", start=0.02, min=1e-4),
         Variable("wait", "parameter", "Longest wait for a set", unit="s", start=0.1, min=0.0),
         Variable("latency", "parameter", "From the concentrator to here", unit="s", start=0.0, min=0.0),
+        Variable("hold_time", "parameter", "How long hold_then_zero holds", unit="s", start=0.5, min=0.0),
     ]
     for i in numbers:
         variables += [
@@ -87,7 +89,7 @@ def concentrator_block(
         ]
     variables += [
         Variable("relative", "parameter", "Wait from the first arrival", type="Boolean", start=False),
-        Variable("on_loss", "parameter", "y if invalid", type="Enumeration", enumeration=ON_MISSING, start=0),
+        Variable("on_loss", "parameter", "y if invalid", type="Enumeration", enumeration=ON_MISSING, start=2),
         Variable("seed", "parameter", "Which frames", type="Integer", start=0, min=0, max=2147483647),
     ]
     for i in numbers:
@@ -117,6 +119,13 @@ class FrameSets:
     stamp_s: npt.NDArray[np.float64]
     due_s: npt.NDArray[np.float64]
     valid: npt.NDArray[np.bool_]
+
+    @property
+    def first_missing(self) -> npt.NDArray[np.bool_]:
+        """Which sets lack a signal that the one before had (sets)."""
+        before = np.ones_like(self.valid)
+        before[1:] = self.valid[:-1]
+        return np.asarray((before & ~self.valid).any(axis=1))
 
 
 def frame_sets(parameters: Mapping[str, float], signals: int, start_s: float, stop_s: float) -> FrameSets:

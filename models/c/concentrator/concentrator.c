@@ -27,7 +27,7 @@ static size_t capacity_of(const Record *record)
 static History history_of(const Block *b, size_t i)
 {
     const size_t n = b->layout.n_u, capacity = capacity_of(b->record);
-    double *memory = b->memory + M_HELD + n + i * (1 + SAMPLE_SIZE * capacity);
+    double *memory = b->memory + M_HELD + 2 * n + i * (1 + SAMPLE_SIZE * capacity);
     const History history = {memory, memory + 1, capacity};
     return history;
 }
@@ -35,7 +35,7 @@ static History history_of(const Block *b, size_t i)
 static SignalFaults faults_of(const Block *b, size_t i)
 {
     const size_t n = b->layout.n_u;
-    double *memory = b->memory + M_HELD + n + n * (1 + SAMPLE_SIZE * capacity_of(b->record)) + FM_COUNT * i;
+    double *memory = b->memory + M_HELD + 2 * n + n * (1 + SAMPLE_SIZE * capacity_of(b->record)) + FM_COUNT * i;
     const SignalFaults faults = {b->p + P_SIGNAL + PER_SIGNAL * n + FAULT_REALS * SIGNAL_FAULTS * i,
                                  b->ip + IP_FAULTS + SIGNAL_FAULTS * i, b->p[P_REPORTING], b->ip[IP_SEED],
                                  128 + 16 * (unsigned)i, memory, n};
@@ -55,26 +55,31 @@ BlockStatus block_needs(const Record *record, const BlockLayout *l, BlockNeeds *
                  "do not fit this binary");
         return BLOCK_ERROR;
     }
-    needs->n_memory = M_HELD + n + n * (1 + SAMPLE_SIZE * capacity + FM_COUNT);
+    needs->n_memory = M_HELD + 2 * n + n * (1 + SAMPLE_SIZE * capacity + FM_COUNT);
     needs->n_scratch = 0;
     return BLOCK_OK;
+}
+
+static const char *wrong_signal(const double *s)
+{
+    if (!(s[S_LATENCY] >= 0.0 && s[S_LATENCY] <= 1e6) || !(s[S_JITTER] >= 0.0 && s[S_JITTER] <= 1e6))
+        return "latency and jitter of a signal must lie in 0 to 1e6 s";
+    if (!(s[S_LOSS] >= 0.0 && s[S_LOSS] <= 1.0)) return "loss of a signal must lie in 0 to 1";
+    if (!(s[S_LOST_START] <= s[S_LOST_END])) return "lost.end of a signal lies before lost.start";
+    return NULL;
 }
 
 static const char *wrong(const Block *b)
 {
     const double *p = b->p;
+    const char *bad = NULL;
 
     if (!(p[P_REPORTING] >= 1e-4 && p[P_REPORTING] <= 1e6)) return "reporting_interval must lie in 1e-4 to 1e6 s";
     if (!(p[P_WAIT] >= 0.0 && p[P_WAIT] <= 1e6) || !(p[P_LATENCY] >= 0.0 && p[P_LATENCY] <= 1e6))
         return "wait and latency must lie in 0 to 1e6 s";
-    for (size_t i = 0; i < b->layout.n_u; ++i) {
-        const double *s = signal_of(b, i);
-        if (!(s[S_LATENCY] >= 0.0 && s[S_LATENCY] <= 1e6) || !(s[S_JITTER] >= 0.0 && s[S_JITTER] <= 1e6))
-            return "latency and jitter of a signal must lie in 0 to 1e6 s";
-        if (!(s[S_LOSS] >= 0.0 && s[S_LOSS] <= 1.0)) return "loss of a signal must lie in 0 to 1";
-        if (!(s[S_LOST_START] <= s[S_LOST_END])) return "lost.end of a signal lies before lost.start";
-    }
-    return NULL;
+    if (!(p[P_HOLD_TIME] >= 0.0)) return "hold_time must not be negative";
+    for (size_t i = 0; i < b->layout.n_u && bad == NULL; ++i) bad = wrong_signal(signal_of(b, i));
+    return bad;
 }
 
 BlockStatus block_start(Block *b, double t, BlockMessage *message)
@@ -150,6 +155,7 @@ static BlockStatus deliver(Block *b, const Set *set, BlockMessage *message)
         count[COUNT_DROPPED] += lost;
         count[COUNT_LATE] += late;
         count[COUNT_DELIVERED] += !lost && !late;
+        if (b->iy[i]) m[M_HELD + n + i] = set->released + b->p[P_LATENCY]; /* of the set that lacks it first */
         b->iy[i] = !lost && !late;
         if (b->iy[i]) {
             const BlockStatus status = input_at(b, i, set->stamp, &m[M_HELD + i], message);
@@ -159,6 +165,16 @@ static BlockStatus deliver(Block *b, const Set *set, BlockMessage *message)
     m[M_NEWEST] = set->stamp;
     m[M_ANY] = 1.0;
     return BLOCK_OK;
+}
+
+/* Whether a missing signal still stands at its last value. */
+static int held(const Block *b, size_t i, double t)
+{
+    const int rule = b->ip[IP_ON_LOSS];
+
+    return rule == ON_LOSS_HOLD
+           || (rule == ON_LOSS_HOLD_THEN_ZERO
+               && t < b->memory[M_HELD + b->layout.n_u + i] + b->p[P_HOLD_TIME] - SLACK);
 }
 
 BlockStatus block_step(Block *b, double t, double h, const double *u_poly, double *dy, BlockMessage *message)
@@ -176,6 +192,8 @@ BlockStatus block_step(Block *b, double t, double h, const double *u_poly, doubl
     for (size_t i = 0; i < n; ++i) {
         const History history = history_of(b, i);
         history_add(&history, t, u_poly + 4 * i, b->u_order[i]);
+        if (m[M_ANY] == 0.0 && (status = input_at(b, i, m[M_NEWEST], &m[M_HELD + i], message)) != BLOCK_OK)
+            return status;
     }
     while (m[M_NEXT] * interval <= end + SLACK) {
         const Set set = set_of(b, m[M_NEXT], m[M_RELEASED]);
@@ -189,9 +207,7 @@ BlockStatus block_step(Block *b, double t, double h, const double *u_poly, doubl
         m[M_NEXT] += 1.0;
     }
     for (size_t i = 0; i < n; ++i) {
-        if (m[M_ANY] == 0.0 && (status = input_at(b, i, m[M_NEWEST], &m[M_HELD + i], message)) != BLOCK_OK)
-            return status;
-        b->y[i] = b->iy[i] || b->ip[IP_ON_LOSS] == ON_LOSS_HOLD ? m[M_HELD + i] : 0.0;
+        b->y[i] = b->iy[i] || held(b, i, end) ? m[M_HELD + i] : 0.0;
         dy[i] = 0.0;
     }
     b->iy[n + COUNT_SENT] = (int)n * (int)(floor((end + SLACK) / interval) - m[M_FIRST] + 1.0);

@@ -17,7 +17,8 @@
  * `latency` later, all signals at the same instant and with the same stamp.
  *
  * y[i] is the value of signal i in the newest set that has come out; where the
- * set has none, valid[i] is false and on_loss rules: zero, or the last value.
+ * set has none, valid[i] is false and on_loss rules: zero, the last value, or
+ * that for `hold_time` after the first set without the signal, then zero.
  * Until the first set comes out y[i] is u[i](start) and valid.
  * Faults make what PMU i sends wrong, its flag up (channel/signal_fault.h).
  *   sent = delivered + dropped + late + on their way (frames, all signals);
@@ -30,15 +31,15 @@
 enum { CONCENTRATOR_SIGNALS = 32 };
 
 /* Real parameters, in order: the common ones, then PER_SIGNAL of each signal. */
-enum { P_REPORTING, P_WAIT, P_LATENCY, P_SIGNAL };
+enum { P_REPORTING, P_WAIT, P_LATENCY, P_HOLD_TIME, P_SIGNAL };
 enum { S_LATENCY, S_JITTER, S_LOSS, S_LOST_START, S_LOST_END, PER_SIGNAL };
 /* Then FAULT_REALS of each of the SIGNAL_FAULTS of each signal (channel/signal_fault.h). */
 /* Integer parameters, and integer outputs after valid[1..n]. */
 enum { IP_RELATIVE, IP_ON_LOSS, IP_SEED, IP_FAULTS };
 enum { COUNT_SENT, COUNT_DELIVERED, COUNT_DROPPED, COUNT_LATE, COUNT_COUNT };
-enum { ON_LOSS_ZERO = 0, ON_LOSS_HOLD = 1 };
+enum { ON_LOSS_ZERO = 0, ON_LOSS_HOLD = 1, ON_LOSS_HOLD_THEN_ZERO = 2 };
 
-/* Discrete state: a head, the last values, each signal's ring of samples, then what its faults remember. */
+/* Discrete state: a head, the last values, since when each is missing, each signal's ring of samples, then what its faults remember. */
 enum { M_FIRST, M_NEXT, M_RELEASED, M_NEWEST, M_ANY, M_HELD };
 
 #endif

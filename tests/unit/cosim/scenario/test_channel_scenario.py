@@ -11,9 +11,11 @@ from interarea.cosim import explorer
 from interarea.cosim.designs.fault_runs import FaultRun
 from interarea.cosim.errors import ScenarioError
 from interarea.cosim.scenario.channels import ChannelLine, GammaLatency, GilbertElliottLoss
+from interarea.cosim.scenario.concentrators import ConcentratorLine, PathTable
 from interarea.cosim.scenario.scenario import load_scenario
 from interarea.design.controllers.bundled import shipped_controller
 from interarea.models.blocks.channel import ON_LOSS, channel_block
+from interarea.models.blocks.concentrator import ON_MISSING, concentrator_block
 
 
 def scenario(**keys: Any) -> dict[str, Any]:
@@ -27,6 +29,21 @@ def test_a_channel_that_says_nothing_is_what_its_fmu_and_the_page_start_with() -
     assert said == {v.name: v.start for v in (*block.table.reals, *block.table.integers) if v.name in said}
     page = (Path(explorer.__file__).parent / "web" / "settings.js").read_text(encoding="utf-8")
     assert f"on_loss: '{ChannelLine().on_loss}', hold: {1000 * ChannelLine().hold_s:g}," in page
+
+
+def test_a_concentrator_that_says_nothing_is_what_its_fmu_starts_with() -> None:
+    block = concentrator_block(1)
+    said = {**ConcentratorLine(signals=(PathTable(),)).parameters("x")}
+    said["on_loss"] = {key: code for key, code, _ in ON_MISSING.items}[str(said["on_loss"])]
+    assert said == {v.name: v.start for v in (*block.table.reals, *block.table.integers) if v.name in said}
+
+
+def test_the_end_of_what_a_concentrator_holds_is_a_communication_point() -> None:
+    path = PathTable(latency_s=0.01, lost_s=(0.1, 0.5))
+    line = ConcentratorLine(signals=(path,), reporting_interval_s=0.1, wait_s=0.03, hold_s=0.217)
+    # sets of the stamps 0 to .6 s, without the signal at .13 s first; what is held ends at .347 s
+    came = [10, 130, 230, 330, 347, 430, 510]
+    assert line.arrivals(0.0, 0.6) == [ms * 1_000_000 for ms in came]
 
 
 def test_a_signal_lost_in_an_acceptance_is_zero_at_once() -> None:

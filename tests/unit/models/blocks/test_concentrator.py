@@ -24,6 +24,8 @@ PATHS: dict[str, dict[str, float]] = {
     "steady": {"latency[1]": 0.01, "latency[2]": 0.03, "latency[3]": 0.05, "latency": 0.015},
     "jitter": {"latency[1]": 0.01, "jitter[1]": 0.08, "jitter[2]": 0.05, "latency[3]": 0.04, "on_loss": 1.0},
     "loss": {"latency[1]": 0.01, "loss[1]": 0.2, "loss[2]": 0.1, "lost[3].start": 1.0, "lost[3].end": 2.0},
+    "held for a while": {"latency[1]": 0.01, "loss[1]": 0.7, "loss[2]": 0.5, "lost[3].start": 1.0}
+    | {"lost[3].end": 2.0, "on_loss": 2.0, "hold_time": 0.05, "latency": 0.015},
     "relative": {"relative": 1.0, "wait": 0.03, "jitter[1]": 0.08, "jitter[2]": 0.05, "latency[3]": 0.04}
     | {"loss[1]": 0.5, "loss[2]": 0.5, "loss[3]": 0.5, "latency": 0.005, "on_loss": 1.0},
 }
@@ -96,16 +98,19 @@ def simulate(p: dict[str, float], h: float) -> np.ndarray:
             out.append((now + p.get("latency", 0.0), waiting[0], set(came[waiting[0]])))
             waiting.pop(0)
     rows = []
-    hold = p.get("on_loss", 0.0) == 1.0
+    held_s = {0.0: 0.0, 1.0: 9e9, 2.0: p.get("hold_time", 0.5)}[p.get("on_loss", 2.0)]
     for step in range(1, round(STOP_S / h) + 1):
         t = step * h
         y, valid, newest = [signal(i, 0.0)[0] for i in range(N)], [1.0] * N, 0
+        since = [0.0] * N
         for at, k, signals in out:
             if at <= t + 1e-9:
                 newest = k
                 for i in range(N):
+                    since[i] = at if valid[i] and i not in signals else since[i]
                     valid[i] = float(i in signals)
-                    y[i] = signal(i, k * T)[0] if i in signals else (y[i] if hold else 0.0)
+                    y[i] = signal(i, k * T)[0] if i in signals else y[i]
+        y = [y[i] if valid[i] or t < since[i] + held_s - 1e-9 else 0.0 for i in range(N)]
         rows.append([*y, *valid, t - newest * T])
     return np.array(rows)
 
