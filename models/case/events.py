@@ -205,7 +205,7 @@ class Oscillation(_Lasting):
         """The event that holds its size."""
         if self.on == "load":
             return _load_step(self)
-        kind = {"voltage_reference": VrefStep, "mechanical_power": PmStep}[self.on]
+        kind: type[VrefStep | PmStep] = VrefStep if self.on == "voltage_reference" else PmStep
         return kind.model_validate(
             {"machine": self.machine, "size_pu": self.size_pu, "start_s": self.start_s}
         )
