@@ -51,10 +51,14 @@ class _Info(ctypes.Structure):
     _fields_ = [
         ("version", c_uint8 * 4),
         *_of(c_char_p, _TEXTS),
-        *[("sample_time", c_double), ("mode", c_uint8)],
-        *[("n_inputs", c_int32), ("inputs", POINTER(_Signal))],
-        *[("n_outputs", c_int32), ("outputs", POINTER(_Signal))],
-        *[("n_parameters", c_int32), ("parameters", POINTER(_Parameter))],
+        ("sample_time", c_double),
+        ("mode", c_uint8),
+        ("n_inputs", c_int32),
+        ("inputs", POINTER(_Signal)),
+        ("n_outputs", c_int32),
+        ("outputs", POINTER(_Signal)),
+        ("n_parameters", c_int32),
+        ("parameters", POINTER(_Parameter)),
         *_of(c_int32, "n_int n_float n_double"),
     ]
 
@@ -62,7 +66,8 @@ class _Info(ctypes.Structure):
 class _Instance(ctypes.Structure):
     _fields_ = [
         *_of(c_void_p, "inputs outputs parameters"),
-        *[("time", c_double), ("mode", c_uint8)],
+        ("time", c_double),
+        ("mode", c_uint8),
         *_of(c_char_p, "error message"),
         *_of(c_void_p, "int_states float_states double_states"),
     ]
