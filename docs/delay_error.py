@@ -131,7 +131,8 @@ def run_fmus(controller: Controller, synchronous: bool, inputs: str, step_s: flo
     for name, file in files.items():
         system.fmu(name, file)
     # a channel that always sends PULSE and is out of service but for the pulse
-    system.channel("pulse", outages_s=[(0.0, PULSE_S[0]), (PULSE_S[1], 2.0 * STOP_S)])
+    outages_s = [(0.0, PULSE_S[0]), (PULSE_S[1], 2.0 * STOP_S)]
+    system.channel("pulse", outages_s=outages_s, on_loss="zero")
     system.connect("pulse", "plant.G1_vs").connect("controller.G4_vs", "plant.G4_vs")
     system.channel("remote", latency_s=LATENCY_S).connect("plant.G2_dw", "remote", "controller.G2_dw")
     if synchronous:
