@@ -13,6 +13,7 @@ import pytest
 from file_faults import LONG, Fault, grid
 from fmu_runner import decay_block
 from matplotlib.figure import Figure
+from matplotlib.transforms import Bbox
 
 from interarea.cosim.master import records
 from interarea.cosim.run.run import write_run
@@ -59,17 +60,19 @@ def written(
 
 @pytest.fixture
 def drawn_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Draw run.svg once and write its bytes again: some 280 runs draw the same."""
-    drawn: list[bytes] = []
+    """Draw the figure of run.svg and that of the page once; some 280 runs draw the same."""
+    drawn: dict[bool, tuple[bytes, list[Bbox]]] = {}
     real = Figure.savefig
 
     def savefig(figure: Figure, file: io.BytesIO, *, transparent: bool, **options: Any) -> None:
-        if transparent or not drawn:  # the page reads from its figure where the axes came to lie
+        if transparent not in drawn:
             real(figure, file, transparent=transparent, **options)
-        if not transparent:
-            drawn.append(drawn[0] if drawn else file.getvalue())
-            file.seek(0)
-            file.write(drawn[0])
+            drawn[transparent] = (file.getvalue(), [axes.get_position() for axes in figure.axes])
+            return
+        content, places = drawn[transparent]
+        file.write(content)
+        for axes, place in zip(figure.axes, places, strict=True):  # the page reads where they came to lie
+            axes.set_position(place)
 
     monkeypatch.setattr(Figure, "savefig", savefig)
 
