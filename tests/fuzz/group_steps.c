@@ -8,7 +8,7 @@
 
 #include "fmu_group.h"
 
-enum { TWINS = 9, SLOT_REALS = 11, SLOT_INTEGERS = 2, EVENT_KINDS = 11, SLOTS = 8 };
+enum { TWINS = 9, SLOT_REALS = 12, SLOT_INTEGERS = 4, EVENT_KINDS = 11, SLOTS = 8 };
 
 typedef struct {
     uint64_t said;          /* hash of all messages */
@@ -79,10 +79,12 @@ static void set_event(Twin *t, size_t k, size_t slot)
     const size_t at = n_real - SLOT_REALS * (SLOTS - slot);
     const double start = 0.05 * unit() + t->time, end = below(4) == 0 ? 1e30 : start + 0.05 * unit();
     const int kind = (int)below(EVENT_KINDS);
-    const double rise = kind >= 4 && kind <= 6 && below(2) == 0 ? 0.5 * (end - start < 0.1 ? end - start : 0.1) : 0.0;
+    const int changes = kind >= 4 && kind <= 6, wave = changes && below(3) == 0 ? 1 + (int)below(3) : 0;
+    const double rise = changes && wave == 0 && below(2) == 0 ? 0.5 * (end - start < 0.1 ? end - start : 0.1) : 0.0;
     const double values[SLOT_REALS] = {start, end, 0.2 * unit() - 0.1, 0.1 * unit(), 0.0, 0.001 + 0.05 * unit(),
-                                        rise, 59.99 + 0.05 * unit(), 0.01 * unit(), 0.01 * unit(), 0.01 * unit()};
-    const int codes[SLOT_INTEGERS] = {kind, 1 + (int)below(4)};
+                                        rise, 59.99 + 0.05 * unit(), 0.01 * unit(), 0.01 * unit(), 0.01 * unit(),
+                                        0.1 + 4.0 * unit()};
+    const int codes[SLOT_INTEGERS] = {kind, 1 + (int)below(4), wave, (int)below(1000)};
     fmi2ValueReference real[SLOT_REALS], integer[SLOT_INTEGERS];
 
     for (size_t i = 0; i < SLOT_REALS; ++i) real[i] = (fmi2ValueReference)(at + i);
