@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ..linear.norms import hinf_of
 from .gramians import (
+    NEGLIGIBLE,
     Balanced,
     Reduction,
     ReductionError,
@@ -38,7 +39,9 @@ __all__ = [
 Matrix = NDArray[np.float64]
 
 
-def balanced_truncation(system: control.StateSpace, order: int) -> Reduction:
+def balanced_truncation(
+    system: control.StateSpace, order: int, *, negligible: float = NEGLIGIBLE
+) -> Reduction:
     r"""Reduce by balanced truncation (square-root method).
 
     In balanced coordinates both Gramians are :math:`\mathrm{diag}(\sigma_1 \ge \sigma_2 \ge \dots)`;
@@ -52,6 +55,7 @@ def balanced_truncation(system: control.StateSpace, order: int) -> Reduction:
     ----------
     system : n states; modes with Re >= -1e-6 are kept as they are.
     order : states of the result, those modes included.
+    negligible : Hankel singular values below this share of the largest are cut, whatever the order.
 
     Raises
     ------
@@ -65,7 +69,7 @@ def balanced_truncation(system: control.StateSpace, order: int) -> Reduction:
     >>> r.error <= r.bound * (1 + 1e-6)
     True
     """
-    return _balanced(system, order, residualise=False)
+    return _balanced(system, order, residualise=False, negligible=negligible)
 
 
 def singular_perturbation(system: control.StateSpace, order: int) -> Reduction:
@@ -77,12 +81,14 @@ def singular_perturbation(system: control.StateSpace, order: int) -> Reduction:
     return _balanced(system, order, residualise=True)
 
 
-def _balanced(system: control.StateSpace, order: int, *, residualise: bool) -> Reduction:
+def _balanced(
+    system: control.StateSpace, order: int, *, residualise: bool, negligible: float = NEGLIGIBLE
+) -> Reduction:
     """Balanced truncation or residualisation of the stable part."""
     split = separate(*matrices(system))
     unstable = split.rest[0].shape[0]
     check_order(order, system.nstates, unstable, split.names)
-    b = balance(*split.stable)
+    b = balance(*split.stable, negligible=negligible)
     k = min(order - unstable, b.rank)
     small = _residualised(b, k) if residualise else (b.A[:k, :k], b.B[:k], b.C[:, :k], b.D)
     return Reduction(

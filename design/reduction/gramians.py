@@ -16,6 +16,8 @@ from ..linear.norms import gramian_factor
 from ..linear.systems import LinearSystemError, state_space
 
 Matrix = NDArray[np.float64]
+#: share of the largest Hankel singular value below which a state is rounding of the Gramians
+NEGLIGIBLE = 1e-11
 
 
 class ReductionError(UserError):
@@ -167,7 +169,7 @@ class Balanced:
         return int(self.A.shape[0])
 
 
-def balance(A: Matrix, B: Matrix, C: Matrix, D: Matrix, *, negligible: float = 1e-11) -> Balanced:
+def balance(A: Matrix, B: Matrix, C: Matrix, D: Matrix, *, negligible: float = NEGLIGIBLE) -> Balanced:
     r"""Balance a stable system by the square-root method, dropping values below negligible * largest.
 
     With :math:`P = L_c L_c^T, Q = L_o L_o^T` and :math:`L_o^T L_c = U \Sigma V^T` the projections are
@@ -179,7 +181,7 @@ def balance(A: Matrix, B: Matrix, C: Matrix, D: Matrix, *, negligible: float = 1
 
 
 def projections(
-    Lc: Matrix, Lo: Matrix, negligible: float = 1e-11, *, most: int | None = None
+    Lc: Matrix, Lo: Matrix, negligible: float = NEGLIGIBLE, *, most: int | None = None
 ) -> tuple[Matrix, Matrix, Matrix]:
     """W, T with W.T @ T = I that balance Lc Lc^T and Lo Lo^T, `most` columns, and all singular values."""
     U, values, Vh = np.linalg.svd(Lo.T @ Lc, full_matrices=False)

@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 from interarea.cosim.designs.design_file import design_of, load_design
+from interarea.cosim.designs.design_tables import PointTable
+from interarea.cosim.designs.family import FamilyPlant, at_point
 from interarea.cosim.errors import ScenarioError
 from interarea.design.delay.signal_conditions import Condition, condition_of_many
 from interarea.design.linear.linearise import select
@@ -17,6 +19,8 @@ from interarea.design.robust.design_models import build_objective
 from interarea.design.robust.operating_points import judge_family
 from interarea.design.robust.smoothed_objective import BandOffsets
 from interarea.design.robust.spec import RobustSpec
+from interarea.fmu_build.write.cache import default_cache
+from interarea.models.case.case import load_case
 from interarea.synthesis import design_controller
 
 NOW, LOST = Condition("N"), Condition("L", ("B_dw",))
@@ -159,3 +163,16 @@ def test_a_gain_is_changed_after_the_search() -> None:
     np.testing.assert_allclose(lowered.D, plain.D * [0.25, 1.0], rtol=1e-12)
     with pytest.raises(ScenarioError, match=r"gain_of names \['G9_dw'\], allowed: G2_dw, G4_dw"):
         design_of(keys | {"gain_of": {"G9_dw": 0.5}})
+
+
+def test_states_below_rounding_leave_no_pole_of_their_own_in_a_design_model() -> None:
+    """Two areas without 7-8 a, 40 states asked: with all of them a pole at -.062 or -.022 1/s comes up."""
+    case = at_point(load_case("two-area-thesis"), PointTable(name="7-8 a out", out=("7-8 a",)))
+    plant = FamilyPlant.of(case, ("G2_dw", "G4_dw"), ("G4_vs",), default_cache()).searched
+    band = BandOffsets((0.0, 50.0), (0.0, 0.0))
+    spec = RobustSpec(("G2_dw", "G4_dw"), ("G4_vs",), (NOW,), plant_order=40, offsets=band, washout_s=0.0)
+    (model,) = build_objective({"out": plant}, spec, case.omega_b).models
+    full = np.linalg.eigvals(plant.A)
+    slow = [e for e in np.linalg.eigvals(model.A) if e.real > -0.3 and abs(e) > 1e-3]
+    assert len(slow) >= 4
+    assert max(np.abs(full - e).min() / abs(e) for e in slow) < 0.01
