@@ -26,7 +26,7 @@ def scattered(blocks: npt.NDArray[Any], rows: IntArray, columns: IntArray, shape
 
 
 class Modal:
-    """Devices A (K, m, m), B (K, m, 2), C (K, 2, m) with states x = X z, in which A is X^-1 A X.
+    """Devices A (K, m, m), B (K, m, 2 ends), C (K, 2 ends, m) with states x = X z, in which A is X^-1 A X.
 
     That is diagonal but for a few devices with defective matrices, which keep their states: one inverse for
     each s serves them. Sparse: `X`, `inverse` (n, n), `B` (n, rows), `C` (rows, n), whose rows are those of
@@ -60,8 +60,8 @@ class Modal:
         )
         # entries of the network matrix by 1/(s - pole), of each device's C (s - A)^-1 B
         of = np.where(plain[:, None, None, None], 0.0, c[:, :, None, :] * np.swapaxes(b, 1, 2)[:, None])
-        places = left.places.reshape(len(A), 4)
-        self._taken = scattered(of.reshape(len(A), 4, -1), places, place, (entries, states))
+        places = left.places.reshape(len(A), B.shape[2] ** 2)
+        self._taken = scattered(of.reshape(len(A), B.shape[2] ** 2, -1), places, place, (entries, states))
         self._kept = left.kept.data
         self._plain = place[plain][place[plain] < states]
         self._A, self._b, self._c, self._places = A[plain], b[plain], c[plain], left.places[plain]

@@ -19,7 +19,7 @@ class Elimination:
     """The buses without a device taken out of G once, those on no path between devices: no fill."""
 
     def __init__(self, G: Any, bus: IntArray, buses: int) -> None:
-        """G : (2 b, 2 b) real; bus : (K,) of each device, which stays; buses : b."""
+        """G : (2 b, 2 b) real; bus : (K, ends) of each device, which stay; buses : b."""
         at = G.tocoo()
         ends = np.unique(np.stack([at.row // 2, at.col // 2], axis=1), axis=0)
         pattern = sparse_pattern(buses, ends[ends[:, 0] < ends[:, 1]], np.unique(bus))
@@ -32,8 +32,9 @@ class Elimination:
         self._upper, self._lower = ordered[:k, k:], ordered[k:, :k]
         self._inner = splu(ordered[:k, :k].tocsc()) if k else None
         rows = 2 * self.row[bus]
-        self.rows = np.stack([rows, rows + 1], axis=1)  #: (K, 2) of each device among those that are kept
-        #: what is left of G, with an entry wherever a device has one, and where these are, (K, 2, 2)
+        #: (K, 2 ends) of each device among those that are kept
+        self.rows = np.stack([rows, rows + 1], axis=2).reshape(len(bus), -1)
+        #: what is left of G, with an entry wherever a device has one, and where: (K, 2 ends, 2 ends)
         self.kept, self.places = self._with_blocks(ordered[k:, k:] - self._filled(ordered.shape[0] - k))
 
     def _filled(self, kept: int) -> Any:
@@ -53,9 +54,12 @@ class Elimination:
         return (sparse.hstack(parts, format="csc") @ into).tocsc()
 
     def _with_blocks(self, kept: Any) -> tuple[Any, IntArray]:
-        """The matrix with an entry wherever a device has one, zero or not, and where these are, (K, 2, 2)."""
-        n = kept.shape[0]
-        i, j = np.repeat(self.rows[:, :, None], 2, axis=2), np.repeat(self.rows[:, None, :], 2, axis=1)
+        """The matrix with an entry wherever a device has one, zero or not, and where these are."""
+        n, width = kept.shape[0], self.rows.shape[1]
+        i, j = (
+            np.repeat(self.rows[:, :, None], width, axis=2),
+            np.repeat(self.rows[:, None, :], width, axis=1),
+        )
         ones = sparse.csc_matrix((np.ones(i.size), (i.ravel(), j.ravel())), shape=kept.shape)
         pattern = (abs(kept) + ones).tocsc()
         pattern.sort_indices()

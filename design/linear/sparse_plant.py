@@ -26,6 +26,7 @@ import numpy.typing as npt
 from scipy import sparse
 
 from interarea.models.errors import InterareaError
+from interarea.models.grid.dc_link import INVERTER
 from interarea.models.grid.network import assembled
 
 from .modal_devices import Modal, scattered
@@ -72,8 +73,9 @@ class SparsePlant:
     machines : names; their devices come first, then those at buses. bus_names : numbers of the buses.
     states : names (n,); inputs : names.
     place : (K, m) state at each place of a device, n where it has none.
-    A : (K, m, m); B : (K, m, 2); C : (K, 2, m), current into the network; D : (K, 2, 2).
-    bus : (K,) bus of each device.
+    A : (K, m, m); B : (K, m, 2 ends); C : (K, 2 ends, m), current into the network.
+    bus : (K, ends) buses of each device: one, or in a grid with dc links two, of which the second is the
+    first again where a device has one.
     Bu : (n, inputs) sparse.
     G : (2 b, 2 b) real sparse, real and imaginary part of each bus in turn.
     ends, stamps : (branches, 2) buses and (branches, 4) admittances of the branches in service.
@@ -89,7 +91,6 @@ class SparsePlant:
     A: Matrix
     B: Matrix
     C: Matrix
-    D: Matrix
     bus: IntArray
     Bu: Any
     G: Any
@@ -186,11 +187,16 @@ def sparse_plant(slopes: Slopes, data: Mapping[str, Any], at_bus: ComplexArray) 
     place = np.full((K, m), n, dtype=np.int64)
     place[of, local] = np.arange(n)
     ports = np.asarray(data["port.table"], dtype=float)
-    at_buses = _ports_of_devices(ports, places[len(bus) :])
+    at_buses, inverters = _ports_of_devices(ports, places[len(bus) :])
     acts_on = np.asarray(data["input.machine"], dtype=np.int64)
-    source = np.concatenate([np.arange(len(bus)), len(bus) + at_buses])
-    blocks = _device_blocks(slopes, place, local, source, len(ports), acts_on >= K)
-    bus = np.concatenate([bus, ports[at_buses, 3].astype(np.int64)])
+    source = np.concatenate([np.arange(len(bus)), len(bus) + at_buses])[:, None]
+    if len(inverters):
+        second = source.copy()
+        second[len(bus) + ports[inverters, 1].astype(np.int64), 0] = len(bus) + inverters
+        source = np.hstack([source, second])
+    blocks = _device_blocks(slopes, place, local, source, acts_on >= K)
+    at_port = np.concatenate([bus, ports[:, 3].astype(np.int64)])  # of the ports of devices at buses
+    bus = at_port[source]
     buses = _words(data["bus.names"])
     on = np.asarray(data["branch.status"]) > 0
     table = np.asarray(data["branch.table"], dtype=float).reshape(8, -1).T[on].reshape(-1, 4, 2)
@@ -198,7 +204,8 @@ def sparse_plant(slopes: Slopes, data: Mapping[str, Any], at_bus: ComplexArray) 
     ends = np.stack([np.asarray(data[f"branch.{e}"], dtype=np.int64) for e in ("from", "to")], axis=1)[on]
     port = ports[:, :2].astype(int)
     loads = np.asarray(data["load.bus"], dtype=np.int64)[port[port[:, 0] == _LOAD, 1]]
-    inner = np.concatenate([blocks.D, blocks.ports[port[:, 0] == _LOAD]])
+    devices = np.unique(source)
+    inner = np.concatenate([blocks.D[devices], blocks.D[len(at_port) - len(ports) :][port[:, 0] == _LOAD]])
     return SparsePlant(
         machines=places[: len(data["machine.bus"])],
         bus_names=buses,
@@ -208,10 +215,9 @@ def sparse_plant(slopes: Slopes, data: Mapping[str, Any], at_bus: ComplexArray) 
         A=blocks.A,
         B=blocks.B,
         C=blocks.C,
-        D=blocks.D,
         bus=bus,
         Bu=_input_matrix(acts_on, K, of, blocks.moved),
-        G=_network(data, ends, stamps, np.concatenate([bus, loads]), inner),
+        G=_network(data, ends, stamps, np.concatenate([at_port[devices], loads]), inner),
         ends=ends,
         stamps=stamps,
         branches=tuple(
@@ -226,20 +232,20 @@ class _Blocks:
     A: Matrix
     B: Matrix
     C: Matrix
-    D: Matrix
-    ports: Matrix  # (ports, 2, 2), of machines empty
+    D: Matrix  # (sources, 2, 2)
     moved: Matrix  # (2, n) dx/dt for 1 at every first input of a place, and at every second one
 
 
-def _ports_of_devices(ports: Matrix, names: Sequence[str]) -> IntArray:
-    """Where in the table of ports each device at a bus stands."""
+def _ports_of_devices(ports: Matrix, names: Sequence[str]) -> tuple[IntArray, IntArray]:
+    """Where in the table of ports each device at a bus stands, and the inverters of dc links."""
     devices = ports[:, 0] == _DEVICE
     for k in ports[devices & (ports[:, _COUPLING] == 0.0), 1]:
         raise SparsePlantError(
             f"{names[int(k)]} regulates another bus than its own, which is not taken; leave "
             "out `regulates`, or use `interarea modes` on a grid of fewer states"
         )
-    return np.flatnonzero(devices)
+    inverters = devices & (ports[:, _COUPLING] == INVERTER)
+    return np.flatnonzero(devices & ~inverters), np.flatnonzero(inverters)
 
 
 def _device_blocks(
@@ -247,18 +253,18 @@ def _device_blocks(
     place: IntArray,
     local: IntArray,
     source: IntArray,
-    ports: int,
     second: npt.NDArray[np.bool_],
 ) -> _Blocks:
     """One derivative for every place of all devices at once: what one does moves no other.
 
-    source : (K,) the source that is each device's current. ports : how many, the last sources. second :
-    which inputs are the second of their place.
+    source : (K, ends) the sources that are each device's currents, of a dc link two, of others one and in a
+    grid with links that once more. second : which inputs are the second of their place.
     """
-    (K, m), n, sources = place.shape, len(slopes.states), slopes.sources
+    (K, m), n, sources, ends = place.shape, len(slopes.states), slopes.sources, source.shape[1]
     none_x, none_u, none_v = np.zeros(n), np.zeros(len(slopes.inputs)), np.zeros(sources, dtype=complex)
-    A, B = np.zeros((K, m, m)), np.zeros((K, m, 2))
-    C, D = np.zeros((K, 2, m)), np.zeros((sources, 2, 2))
+    A, B = np.zeros((K, m, m)), np.zeros((K, m, ends, 2))
+    C, D = np.zeros((K, ends, 2, m)), np.zeros((sources, 2, 2))
+    there = np.stack([np.full(K, True), *(source[:, k] != source[:, 0] for k in range(1, ends))], axis=1)
 
     def spread(x: Matrix) -> Matrix:
         return np.append(x, 0.0)[place]
@@ -266,10 +272,15 @@ def _device_blocks(
     for j in range(m):
         dx, current = slopes.slopes(np.where(local == j, 1.0, 0.0), none_u, none_v)
         A[:, :, j] = spread(dx)
-        C[:, 0, j], C[:, 1, j] = current[source].real, current[source].imag
+        own = np.where(there, current[source], 0.0)
+        C[:, :, 0, j], C[:, :, 1, j] = own.real, own.imag
     for j, unit in enumerate((1.0, 1.0j)):
-        dx, current = slopes.slopes(none_x, none_u, np.full(sources, unit))
-        B[:, :, j] = spread(dx)
+        for end in range(ends):
+            moved = np.zeros(sources, dtype=complex)
+            moved[source[there[:, end], end]] = unit
+            dx = spread(slopes.slopes(none_x, none_u, moved)[0])
+            B[:, :, end, j] = np.where(there[:, end, None], dx, 0.0)
+        current = slopes.slopes(none_x, none_u, np.full(sources, unit))[1]
         D[:, 0, j], D[:, 1, j] = current.real, current.imag
     dx = np.array([slopes.slopes(none_x, np.where(on, 1.0, 0.0), none_v)[0] for on in (~second, second)])
     for M in (A, B, C, D, dx):
@@ -277,7 +288,7 @@ def _device_blocks(
             raise SparsePlantError("derivatives of the plant's devices at rest are not all finite")
     k, i = np.nonzero(place == n)
     A[k, i, i] = _PAD
-    return _Blocks(A, B, C, D[source], D[sources - ports :], dx)
+    return _Blocks(A, B.reshape(K, m, 2 * ends), C.reshape(K, 2 * ends, m), D, dx)
 
 
 def _input_matrix(acts_on: IntArray, K: int, of: IntArray, dx: Matrix) -> Any:

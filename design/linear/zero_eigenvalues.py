@@ -138,8 +138,8 @@ def zero_eigenvalues_of(plant: SparsePlant, loop: Loop | None = None) -> ZeroEig
     rotation, common_speed = (False, False) if infinite.any() else _together(plant, loop)
     resting = tuple(plant.states[int(k)] for k in most[(kinds == "rests") & ~infinite])
     retained, shared = [rows[kinds != "voltage"]], {}
-    for bus in np.unique(plant.bus[of[kinds == "voltage"]]):
-        own = np.flatnonzero((kinds == "voltage") & (plant.bus[of] == bus))
+    for bus in np.unique(plant.bus[of[kinds == "voltage"], 0]):
+        own = np.flatnonzero((kinds == "voltage") & (plant.bus[of, 0] == bus))
         U, values, _ = np.linalg.svd(seen[own])
         rank = int(np.sum(values > _NOTHING * values[0]))
         if len(own) > rank:

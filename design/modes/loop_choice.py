@@ -235,7 +235,7 @@ def _bus_areas(plant: SparsePlant, machine_area: npt.NDArray[Any]) -> npt.NDArra
     """Area of each bus: of its nearest machine by branches, 0 where none is connected."""
     b = len(plant.bus_names)
     area = np.zeros(b, dtype=int)
-    area[plant.bus[: len(plant.machines)]] = machine_area
+    area[plant.bus[: len(plant.machines), 0]] = machine_area
     one, other = plant.ends.T
     for _ in range(b):
         take = (area[one] == 0) & (area[other] != 0)

@@ -86,7 +86,7 @@ def actuators_of(inputs: Sequence[str]) -> list[str]:
     >>> actuators_of(["G1_vs", "svc1_v_mod", "torque"])
     ['G1_vs', 'svc1_v_mod']
     """
-    return [name for name in inputs if name.endswith(("_vs", "_v_mod", "_x_mod"))]
+    return [name for name in inputs if name.endswith(("_vs", "_v_mod", "_x_mod", "_p_mod"))]
 
 
 def require_actuator(names: Sequence[str]) -> None:
@@ -94,8 +94,8 @@ def require_actuator(names: Sequence[str]) -> None:
     if not names:
         raise ModeError(
             "no machine has an exciter that takes a signal (an input *_vs) and no bus an SVC or STATCOM "
-            "(*_v_mod), no line a series capacitor (*_x_mod), so no loop can be closed; give machines an "
-            "exciter that regulates"
+            "(*_v_mod), no line a series capacitor (*_x_mod), and there is no dc link or converter "
+            "(*_p_mod), so no loop can be closed; give machines an exciter that regulates"
         )
 
 
@@ -125,7 +125,7 @@ def rank_loops(
     mode : the mode to damp, of this very system.
     signals : signal name -> {plant output: weight}; default the speed differences between `areas`.
     areas : machine name -> area, needed when `signals` is not given.
-    actuators : plant inputs; default all ``*_vs``, ``*_v_mod`` and ``*_x_mod``.
+    actuators : plant inputs; default all ``*_vs``, ``*_v_mod``, ``*_x_mod`` and ``*_p_mod``.
     own_machine : rank a difference only with actuators of its own machines, so that
         one of its two parts is local (as the wide-area schemes do).
     order : order of the balanced reduction in whose coordinates the geometric index is taken.

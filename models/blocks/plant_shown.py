@@ -126,10 +126,7 @@ def shown_tables(
         ends = [int(case.branches[k].from_bus != case.tie.from_bus) for k in tie]
     lines = sorted({s.of for s in shown if s.kind.startswith("line_")})
     row = {k: place for place, k in enumerate(lines)}
-    port: dict[int, int] = {}
-    for place, (kind, device) in enumerate(ports[:, :2].astype(int)):
-        if kind == DEVICE:
-            port.setdefault(device, place)  # a second one sees a voltage only
+    port = _ports_of_devices(case, ports)
     rows = {"device_q": port, "device_p": port} | dict.fromkeys(
         (k for k in KINDS if k.startswith("line_")), row
     )
@@ -140,6 +137,18 @@ def shown_tables(
         "show.kind": np.array([KINDS.index(s.kind) for s in shown], dtype=np.int32),
         "show.of": np.array(of, dtype=np.int32),
     }
+
+
+def _ports_of_devices(case: Case, ports: npt.NDArray[np.float64]) -> dict[int, int]:
+    """Return the row of the port of each device at a bus; inverters of links come after all."""
+    links = range(len(case.at_buses) - len(case.hvdcs), len(case.at_buses))
+    port: dict[int, int] = {}
+    for place, (kind, device) in enumerate(ports[:, :2].astype(int)):
+        if kind == DEVICE and device not in port:
+            port[device] = place
+        elif kind == DEVICE and device in links:  # of others a second one sees a voltage only
+            port[device + len(links)] = place
+    return port
 
 
 def _of_machines(case: Case) -> Iterator[Shown]:
@@ -171,9 +180,20 @@ def _of_svcs(case: Case) -> Iterator[Shown]:
             yield _output(f"{row.name}.i", text, network, "bus_v", place[nodes[row.name]])
             continue
         text = "power into the network, base of the case"
+        if k >= len(case.at_buses) - len(case.hvdcs):
+            yield from _of_link(case, k, network)
+            continue
         yield _output(f"{row.name}.q", f"reactive {text}", network, "device_q", k)
         if k >= len(case.svcs):
             yield _output(f"{row.name}.p", f"active {text}", network, "device_p", k)
+
+
+def _of_link(case: Case, k: int, network: tuple[str, ...]) -> Iterator[Shown]:
+    row = case.at_buses[k]
+    for end, of in (("rectifier", k), ("inverter", k + len(case.hvdcs))):
+        text = f"power into the network at the {end}, base of the case"
+        yield _output(f"{row.name}.p_{end}", f"active {text}", network, "device_p", of)
+        yield _output(f"{row.name}.q_{end}", f"reactive {text}", network, "device_q", of)
 
 
 def _of_branches(case: Case) -> Iterator[Shown]:

@@ -44,7 +44,7 @@ _EVENT_WORDS = {
     "shunt_switch": "shunt switched in (size = 1) or out (size = 0), back at end",
     "frequency_shed": "a frequency relay adds size + j size_q (below 0) to a load, in use from start to end",
     "frequency_trip": "a frequency relay disconnects a machine, in use from start to end",
-    "device_trip": "SVC or STATCOM disconnected, series capacitor bypassed at start",
+    "device_trip": "SVC, STATCOM or dc link disconnected, series capacitor bypassed at start",
 }
 #: names of states that derivatives list altogether; beyond, those that see the network list nothing, which in
 #: FMI says that they may depend on everything
@@ -92,7 +92,7 @@ _ADDED_TO = {
 
 
 def input_variables(point: OperatingPoint) -> list[Variable]:
-    """Return the inputs, one for each exciter and each SVC or STATCOM, two for each converter."""
+    """Return the inputs, one for each exciter, SVC, STATCOM and dc link, two for each converter."""
     return [
         Variable(
             given.name,

@@ -46,6 +46,9 @@ def _check_references(case: CaseTables) -> None:
             _bus(row.bus, f"{table}.{row.name}.bus", known)
     for svc in case.svcs:
         _bus(svc.seen_bus, f"svcs.{svc.name}.regulates", known)
+    for row in case.hvdcs:
+        for key in ("rectifier_bus", "inverter_bus"):
+            _bus(getattr(row, key), f"hvdcs.{row.name}.{key}", known)
     if case.tie is None:
         return
     branches = {b.name: b for b in case.branches}
@@ -84,6 +87,12 @@ def _check_svcs(case: CaseTables) -> None:
             raise ValueError(
                 f"converters.{row.name}: a machine or an SVC has that name too, allowed: another name"
             )
+    others = {*machines, *svcs, *(row.name for row in case.converters)}
+    for link in case.hvdcs:
+        if link.name in others:
+            raise ValueError(
+                f"hvdcs.{link.name}: a machine or a device has that name too, allowed: another name"
+            )
     for svc in case.svcs:
         if svc.name in machines:
             raise ValueError(f"svcs.{svc.name}: a machine has that name too, allowed: another name")
@@ -110,7 +119,7 @@ def _check_svcs(case: CaseTables) -> None:
 def _check_tcscs(case: CaseTables) -> None:
     from .schema import LEFT_OF_LINE
 
-    others: tuple[Any, ...] = (*case.machines, *case.svcs, *case.converters)
+    others: tuple[Any, ...] = (*case.machines, *case.svcs, *case.converters, *case.hvdcs)
     taken, branches = {row.name for row in others}, {b.name: b for b in case.branches}
     of: dict[str, str] = {}
     for row in case.tcscs:
@@ -244,7 +253,7 @@ def target_index(case: CaseTables, event: Any) -> int:
         return numbers.index(event.bus)
     table = next(t for t in ("branch", "machine", "load", "shunt", "device") if hasattr(event, t))
     rows: Any = (
-        (*case.svcs, *case.tcscs, *case.converters)
+        (*case.svcs, *case.tcscs, *case.converters, *case.hvdcs)
         if table == "device"
         else getattr(case, {"branch": "branches"}.get(table, f"{table}s"))
     )

@@ -267,10 +267,10 @@ class MachineTrip(_Event):
 
 
 class DeviceTrip(_Event):
-    """`device`, an SVC or STATCOM, is disconnected from its bus at `start_s`, a series capacitor bypassed."""
+    """`device`, an SVC, STATCOM or dc link, is disconnected at `start_s`, a series capacitor bypassed."""
 
     kind: Literal["device_trip"] = "device_trip"
-    device: Target  #: name of the SVC, STATCOM, series capacitor or converter
+    device: Target  #: name of the SVC, STATCOM, series capacitor, converter or dc link
 
 
 class ShuntSwitch(_Lasting):

@@ -16,6 +16,7 @@ from ..errors import CaseError, nearest
 from ..table import Table, Title
 from .control_schema import BARE, Positive
 from .events import Event
+from .hvdc_schema import Hvdc
 from .schema import Branch, Bus, Converter, Load, Machine, Shunt, Svc, Tcsc, Tie
 
 Named = TypeVar("Named", Branch, Load, Machine, Shunt)
@@ -48,6 +49,7 @@ class CaseTables(Table):
     svcs: tuple[Svc, ...] = ()  #: static var compensators and STATCOMs by name
     tcscs: tuple[Tcsc, ...] = ()  #: thyristor controlled series capacitors by name
     converters: tuple[Converter, ...] = ()  #: converter plants by name
+    hvdcs: tuple[Hvdc, ...] = ()  #: dc links with line-commutated converters by name
     tie: Tie | None = None  #: the cut whose flow operating points move
     events: tuple[Event, ...] = Field(
         default=(), alias="event"
@@ -64,9 +66,9 @@ class CaseTables(Table):
         return {m.name: m.area for m in self.machines}
 
     @property
-    def at_buses(self) -> tuple[Svc | Converter, ...]:
-        """Devices at buses: SVCs, then converters."""
-        return (*self.svcs, *self.converters)
+    def at_buses(self) -> tuple[Svc | Converter | Hvdc, ...]:
+        """Devices at buses: SVCs, then converters, then dc links."""
+        return (*self.svcs, *self.converters, *self.hvdcs)
 
     @property
     def places(self) -> tuple[str, ...]:

@@ -42,7 +42,7 @@ def losses_of_network(case: Case) -> list[str]:
         losses.append(f"how loads follow the voltage ({named(curved)})")
     if case.at_buses:
         names = named(d.name for d in case.at_buses)
-        losses.append(f"SVCs, STATCOMs and converters with their power ({names})")
+        losses.append(f"SVCs, STATCOMs, converters and dc links with their power ({names})")
     if case.tcscs:
         losses.append(f"that series capacitors move ({named(row.name for row in case.tcscs)})")
     if case.tie is not None:

@@ -20,7 +20,7 @@ from ..case.schema import Load, Machine, Saturation
 from .coupling import device_port_buses
 from .network import load_power
 
-ROWS = 18
+ROWS = 22
 LOAD, MACHINE, DEVICE = 1, 2, 3
 LOWEST_PU = {"current": 0.5, "power": 0.7}  #: below, such a share of a load is constant impedance
 _SATURATION = {"none": 0, "total": 1, "incremental": 2}
@@ -97,11 +97,12 @@ def port_table(
     """
     volts = np.asarray(load_volts, dtype=float)
     table = [_load_row(case, k, float(volts[k])) for k in port_loads(case)]
-    table += [[DEVICE, *row, *[0.0] * (ROWS - 1 - len(row))] for row in devices]
+    table += [[DEVICE, *row] for row in devices]
     for k, (position, gap) in enumerate(zip(order, gaps, strict=True)):
         if gap is not None:
             table.append(_machine_row(case.machines[position], k, gap))
-    return np.array(table, dtype=float).reshape(len(table), ROWS)
+    padded = [[*row, *[0.0] * (ROWS - len(row))] for row in table]
+    return np.array(padded, dtype=float).reshape(len(table), ROWS)
 
 
 def port_rest(
@@ -152,4 +153,4 @@ def _machine_row(m: Machine, k: int, gap: AirGap) -> list[float]:
     kind = 0 if s is None else _SATURATION[s.use]
     row = [MACHINE, k, 1.0, kind, Xd2 - Xl, Xq2 - Xl, 1.0 / (Xd - Xl), 1.0 / (Xq - Xl), *shape]
     saliency = 0.0 if Xd2 == Xq2 else 1.0 / (Xd2 - Xl) - 1.0 / (Xq2 - Xl)
-    return [*row, gap.psi_ad, gap.psi_aq, gap.isd, gap.isq, slope, saliency, 0.0]
+    return [*row, gap.psi_ad, gap.psi_aq, gap.isd, gap.isq, slope, saliency]

@@ -17,6 +17,7 @@ from ..devices.language.structure import Model
 from ..devices.rest import BEYOND, RestPoint, rest_of
 from ..errors import DeviceError
 from .coupling import BusPoint, Coupling, coupling_of, model_at_bus
+from .dc_link import LinkPoint
 from .machine_tables import NETWORK, MachinePoint, State
 
 SHORTEST_S = 1e-6  #: least value a time constant may be set to
@@ -65,11 +66,11 @@ class Device:
         return [self.rest.instance.values[row] for row in given_rows(self.rest.instance.model)]
 
     def parameters(self) -> Iterator[Parameter]:
-        """What a user may change: what is in use and decides no structure; of a converter nothing.
+        """What a user may change: what is in use and decides no structure; of a converter or dc link nothing.
 
-        A converter has several set-points, of which the plant would find only one anew.
+        These have several set-points, of which the plant would find only one anew.
         """
-        if self.word == "converter":
+        if self.word in ("converter", "hvdc"):
             return
         instance = self.rest.instance
         device, used = instance.model.device, instance.used() - self._coupling_names()
@@ -182,6 +183,8 @@ class Controls:
                 result.append(Given(d.prefix.removesuffix(".exciter"), "vs", d.place))
             elif d.word == "converter":
                 result += [Given(d.prefix, "p_mod", d.place), Given(d.prefix, "q_mod", places + d.place)]
+            elif d.word == "hvdc":
+                result.append(Given(d.prefix, "p_mod", d.place))
             elif d.word in AT_BUS:
                 result.append(Given(d.prefix, modulation(d.key), d.place))
         return tuple(result)
@@ -213,7 +216,7 @@ class Controls:
 
 
 def controls_at_rest(
-    case: Case, points: tuple[MachinePoint, ...], buses: tuple[BusPoint, ...] = ()
+    case: Case, points: tuple[MachinePoint, ...], buses: tuple[BusPoint | LinkPoint, ...] = ()
 ) -> Controls:
     """Return the controls of `case` at rest with its machines at `points`, its devices at buses at `buses`.
 
@@ -235,6 +238,9 @@ def controls_at_rest(
         dict.fromkeys(("vt", "p", "q"), network)
         | {key: frozenset({f"{c.name}_{key}"}) for key in ("p_mod", "q_mod")}
         for c in case.converters
+    ]
+    inputs += [
+        {"vdr": network, "vdi": network, "p_mod": frozenset({f"{row.name}_p_mod"})} for row in case.hvdcs
     ]
     for k, word, rest in starts:
         assert isinstance(rest, RestPoint)
@@ -262,11 +268,15 @@ def row_name(case: Case, place: int, word: str) -> str:
 
 def table_of(kind: str) -> str:
     """Return the table of a case whose rows have devices of a kind."""
-    return "machines" if kind in OF_MACHINE else "svcs" if kind in OF_SVC else "converters"
+    return "machines" if kind in OF_MACHINE else "svcs" if kind in OF_SVC else f"{kind}s"
 
 
 def rests_of(
-    case: Case, points: tuple[MachinePoint, ...], buses: tuple[BusPoint, ...] = (), *, room: float = BEYOND
+    case: Case,
+    points: tuple[MachinePoint, ...],
+    buses: tuple[BusPoint | LinkPoint, ...] = (),
+    *,
+    room: float = BEYOND,
 ) -> tuple[npt.NDArray[np.float64], list[tuple[int, str, RestPoint | Unrest]]]:
     """Return what the devices at every place see, and each device (place, kind) at rest or why it is not.
 
@@ -298,6 +308,8 @@ def rests_of(
         at = {"vt": bus.seen, "out": output}
         if kind == "converter":  # where plant/flow/flow.h has them
             at |= {"pe": given["p"], "ifd": given["q"]}
+        elif kind == "hvdc":
+            at |= {"pe": given["vdi"]}
         for key, value in at.items():
             seen[SEEN.index(key), k] = value
     return seen, rests

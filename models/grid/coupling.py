@@ -7,12 +7,13 @@ plant/numbers/layout.h, equations in plant/machine/bus_device.h.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
 
 from ..case.case import Case
+from ..case.hvdc_schema import Hvdc
 from ..case.schema import Converter, Svc
 from ..devices.instance import Instance
 from ..devices.language.device import KINDS, OF_SVC, Device
@@ -20,6 +21,7 @@ from ..devices.language.expression import evaluate
 from ..devices.language.structure import Model
 from ..devices.library import device_model
 from ..errors import DeviceError
+from .dc_link import LinkPoint, link_point, link_ports
 
 NOTHING, SUSCEPTANCE, CURRENT, CONVERTER = 0, 1, 2, 3  #: CouplingKind
 COUPLINGS = {"svc": SUSCEPTANCE, "statcom": CURRENT, "converter": CONVERTER}
@@ -59,11 +61,13 @@ class Coupling:
     second: str = ""  #: state of the reactive current of a converter
     gain: tuple[float, float] = (-2.0, -1.0)  #: voltages between which its active current rises from 0
     taken: tuple[float, float, float] = (1e3, 0.0, -1e3)  #: voltage above which, how much, not below
+    values: Mapping[str, float] = field(default_factory=dict)  #: of a dc link: the numbers of its device
 
 
-def model_at_bus(row: Svc | Converter, own: Mapping[str, Model]) -> Model:
+def model_at_bus(row: Svc | Converter | Hvdc, own: Mapping[str, Model]) -> Model:
     """Return the device of a row; DeviceError where there is none of that name."""
-    return device_model(row.control.kind, OF_SVC if isinstance(row, Svc) else "converter", own)
+    kinds = OF_SVC if isinstance(row, Svc) else "converter" if isinstance(row, Converter) else "hvdc"
+    return device_model(row.control.kind, kinds, own)
 
 
 def coupled_states(device: Device) -> tuple[str, ...]:
@@ -125,6 +129,8 @@ def coupling_of(instance: Instance) -> Coupling:
             raise DeviceError(
                 f"{device.name}: {name} is a lag without time, but sets a current; give it a time above 0"
             )
+    if device.kind == "hvdc":
+        return Coupling(state, 1.0, 0.0, values=instance.values)
     if len(states) > 1:
         return Coupling(state, 1.0, 0.0, states[1], *_port_numbers(instance))
     if state == device.output:
@@ -164,6 +170,11 @@ def device_ports(
     rows: list[list[float]] = []
     for k, (svc, (kind, c), at_rest) in enumerate(zip(case.at_buses, couplings, signals, strict=True)):
         share, here = svc.base_mva / case.base_mva, svc.seen_bus == svc.bus
+        if isinstance(svc, Hvdc):
+            states = {name: state_names.index(f"{svc.name}.{name}") for name in ("idc", "iord", "xr", "xi")}
+            places = index[svc.rectifier_bus], index[svc.inverter_bus]
+            rows += link_ports(svc, k, places, states, c.values, at_rest, share, LOW_PU)
+            continue
         state = state_names.index(f"{svc.name}.{c.state}")
         output = share * at_rest[KINDS[kind].output]
         row = [state, share * c.scale, share * c.bias, COUPLINGS[kind], output]
@@ -179,7 +190,7 @@ def device_ports(
 
 def bus_points(
     case: Case, power: npt.NDArray[np.complex128], voltages: npt.NDArray[np.complex128]
-) -> tuple[BusPoint, ...]:
+) -> tuple[BusPoint | LinkPoint, ...]:
     """Return the devices at buses at rest.
 
     power : P + jQ of each into the network, pu; voltages : (buses,).
@@ -187,6 +198,10 @@ def bus_points(
     index = {bus.number: k for k, bus in enumerate(case.buses)}
     size = np.abs(voltages)
     return tuple(
-        BusPoint(float(size[index[s.seen_bus]]), float(size[index[s.bus]]), float(s_k.imag), float(s_k.real))
+        link_point(s, float(size[index[s.bus]]), float(size[index[s.seen_bus]]))
+        if isinstance(s, Hvdc)
+        else BusPoint(
+            float(size[index[s.seen_bus]]), float(size[index[s.bus]]), float(s_k.imag), float(s_k.real)
+        )
         for s, s_k in zip(case.at_buses, power, strict=True)
     )

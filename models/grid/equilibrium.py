@@ -16,6 +16,7 @@ from ..case.schema import Machine
 from .bus_devices import AirGap, air_gap, has_port, port_loads, saturation_factor, saturation_of
 from .control_tables import Controls, controls_at_rest
 from .coupling import BusPoint, bus_points
+from .dc_link import LinkPoint
 from .machine_tables import NETWORK, MachinePoint, State
 from .network import bus_index, load_power, machine_bus_index, machine_norton_admittance, sparse_admittance
 from .powerflow import PowerFlow, solve_powerflow, with_nodes
@@ -89,7 +90,10 @@ def operating_point(case: Case, power_flow: PowerFlow | None = None) -> Operatin
 def machine_points(
     case: Case, power_flow: PowerFlow
 ) -> tuple[
-    tuple[MachinePoint, ...], npt.NDArray[np.float64], tuple[AirGap | None, ...], tuple[BusPoint, ...]
+    tuple[MachinePoint, ...],
+    npt.NDArray[np.float64],
+    tuple[AirGap | None, ...],
+    tuple[BusPoint | LinkPoint, ...],
 ]:
     """Return the machines at rest, the loads' volts, the machines' air gaps and the devices at buses, without
     any control.
@@ -155,11 +159,16 @@ def _network(
     those of the power flow, for as long as it leads nearer.
     """
     index, loads = bus_index(case), len(case.loads)
-    at = np.array([index[q.bus] for q in case.loads] + [index[s.bus] for s in case.at_buses], dtype=np.int64)
+    rows = (*case.loads, *case.at_buses)
+    at = np.array(
+        [index[row.bus] for row in rows] + [index[row.inverter_bus] for row in case.hvdcs], dtype=np.int64
+    )
     volts = np.abs(power_flow.voltages[at])
     ports = [*port_loads(case), *range(loads, len(at))]
     drawn = [load_power(case, load) if load.in_service else 0j for load in case.loads]
-    solve = _linear_network(case, emf, at, np.array([*drawn, *(-power_flow.at_buses)], dtype=complex))
+    solve = _linear_network(
+        case, emf, at, np.array([*drawn, *(-power_flow.at_buses), *(-power_flow.inverters)], dtype=complex)
+    )
     voltages, current = solve(volts)
     moved = np.inf
     for _ in range(_REPETITIONS if ports else 0):
@@ -254,7 +263,7 @@ def _assemble(
     points: tuple[MachinePoint, ...],
     load_volts: npt.NDArray[np.float64],
     gaps: tuple[AirGap | None, ...],
-    buses: tuple[BusPoint, ...],
+    buses: tuple[BusPoint | LinkPoint, ...],
 ) -> OperatingPoint:
     controls = controls_at_rest(case, points, buses)
     states = _machine_states(case, points, controls.outputs("exciter"), controls.outputs("governor"))

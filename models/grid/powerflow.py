@@ -4,17 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from ..case.case import Case, CaseError
 from ..case.checks import islands_of
+from .dc_link import LinkPoint, link_point, require_link
 from .network import ComplexArray, branch_stamp, bus_index, load_power, machine_bus_index, sparse_admittance
 from .newton import Iterate, newton
 from .series import compensated, node_voltages, series_nodes, without_series_nodes
 
 TOLERANCE_PU = 1e-10
+_REPETITIONS = 60  #: of a power flow with dc links; each brings their voltages about a digit closer
 
 
 class PowerFlowError(CaseError):
@@ -36,7 +39,10 @@ class PowerFlow:
     voltages: ComplexArray  #: (buses,)
     injections: ComplexArray  #: (buses,) generation less load, shunts belong to the network
     generation: ComplexArray  #: (machines,) P + jQ of each machine
-    at_buses: ComplexArray  #: (devices at buses,) P + jQ of each into the network
+    at_buses: (
+        ComplexArray  #: (devices at buses,) P + jQ of each into the network, of a dc link at its rectifier
+    )
+    inverters: ComplexArray  #: (dc links,) P + jQ of each into the network at its inverter
     iterations: int
     mismatch_pu: float  #: largest |P| or |Q| mismatch left
 
@@ -83,7 +89,8 @@ def solve_powerflow(case: Case) -> PowerFlow:
     r"""Solve the power flow of `case` from the start values of its buses, flat where they have none.
 
     Slack, one in each connected part: voltage and angle given; other machine buses: P and voltage; the rest:
-    P and Q. SVCs hold a voltage or give Q.
+    P and Q. SVCs hold a voltage or give Q; dc links draw what the voltages of their buses leave, to which the
+    solution is repeated.
     Loads are constant P and Q, shunts are admittances; `newton` has the equations.
 
     Machine reactive limits are not enforced. Machines at one bus have their own `Q_mvar` and share what is
@@ -110,7 +117,7 @@ def solve_powerflow(case: Case) -> PowerFlow:
     start = magnitude * np.exp(1j * np.deg2rad(_start_angles(case)))
     free_angle = np.delete(np.arange(n), slack)
     free_magnitude = np.setdiff1d(np.arange(n), [*machine_bus, *held])
-    best = newton(Y, start, scheduled, free_angle, free_magnitude, tolerance_pu=TOLERANCE_PU)
+    best, links = _repeated(case, Y, start, scheduled, free_angle, free_magnitude)
     if best is None or not best.converged:
         retained = (
             {}
@@ -118,7 +125,45 @@ def solve_powerflow(case: Case) -> PowerFlow:
             else {b.number: complex(v) for b, v in zip(case.buses, best.voltages, strict=True)}
         )
         raise PowerFlowError(_no_convergence(case, best, free_angle, free_magnitude), voltages=retained)
-    return _solved(case, best, load, slack)
+    for row, point in zip(case.hvdcs, links, strict=True):
+        require_link(case, row, point, float(np.abs(best.voltages[bus_index(case)[row.rectifier_bus]])))
+    return _solved(case, best, load, slack, links)
+
+
+def _repeated(
+    case: Case, Y: Any, start: ComplexArray, scheduled: ComplexArray, free_angle: Any, free_magnitude: Any
+) -> tuple[Iterate | None, list[LinkPoint]]:
+    """Newton's method with the dc links at the voltages before, until these stand."""
+    links: list[LinkPoint] = []
+    if not case.hvdcs:
+        return newton(Y, start, scheduled, free_angle, free_magnitude, tolerance_pu=TOLERANCE_PU), links
+    index, best, moved = bus_index(case), None, np.inf
+    at = np.array([[index[row.rectifier_bus], index[row.inverter_bus]] for row in case.hvdcs])
+    share = np.array([[row.base_mva / case.base_mva] for row in case.hvdcs])
+    for _ in range(_REPETITIONS):
+        size = np.abs(start)[at]
+        links = [link_point(row, *map(float, of)) for row, of in zip(case.hvdcs, size, strict=True)]
+        slope = share * np.array([link.slope for link in links])
+        constant, linear = scheduled.astype(complex), np.zeros(len(start), dtype=complex)
+        np.add.at(constant, at, share * np.array([link.power for link in links]) - slope * size)
+        np.add.at(linear, at, slope)
+        best = newton(
+            Y, start, constant, free_angle, free_magnitude, current=linear, tolerance_pu=TOLERANCE_PU
+        )
+        if best is None or not best.converged:
+            break
+        last, moved = moved, float(np.max(np.abs(np.abs(best.voltages)[at] - size)))
+        start = best.voltages
+        if not 1e-15 <= moved < last:
+            break
+    if best is not None and best.converged and not moved <= TOLERANCE_PU:
+        raise PowerFlowError(
+            f"{case.name}: the power flow does not settle with its dc links: voltages at their buses still "
+            f"move by {moved:.3g} pu, allowed: {TOLERANCE_PU:g}; support these by "
+            "shunts, or lower idc_ka or P_mw",
+            voltages={b.number: complex(v) for b, v in zip(case.buses, best.voltages, strict=True)},
+        )
+    return best, links
 
 
 def _with_capacitors(case: Case) -> PowerFlow:
@@ -191,10 +236,22 @@ def _no_convergence(
     )
 
 
-def _solved(case: Case, best: Iterate, load: ComplexArray, slack: npt.NDArray[np.int_]) -> PowerFlow:
+def _solved(
+    case: Case, best: Iterate, load: ComplexArray, slack: npt.NDArray[np.int_], links: list[LinkPoint]
+) -> PowerFlow:
     V = best.voltages
     injections: ComplexArray = V * np.conj(sparse_admittance(case) @ V)
+    ends = np.array(
+        [
+            [s * row.base_mva / case.base_mva for s in link.power]
+            for row, link in zip(case.hvdcs, links, strict=True)
+        ],
+        dtype=complex,
+    ).reshape(-1, 2)
+    index = bus_index(case)
     at_bus = injections + load
+    for row, of in zip(case.hvdcs, ends, strict=True):
+        at_bus[[index[row.rectifier_bus], index[row.inverter_bus]]] -= of
     machine_bus = machine_bus_index(case)
     rating = np.array([m.base_mva for m in case.machines])
     total = np.zeros(len(V))
@@ -210,10 +267,10 @@ def _solved(case: Case, best: Iterate, load: ComplexArray, slack: npt.NDArray[np
     np.add.at(scheduled, machine_bus, generation.real)
     generation[own] += at_bus[slack].real - scheduled[slack]
     given = np.array([complex(c.P_mw, c.Q_mvar) / case.base_mva for c in case.converters], dtype=complex)
-    at_buses = np.concatenate([1j * _svc_q(case, at_bus.imag), given])
-    for array in (V, injections, generation, at_buses):
+    at_buses, inverters = np.concatenate([1j * _svc_q(case, at_bus.imag), given, ends[:, 0]]), ends[:, 1]
+    for array in (V, injections, generation, at_buses, inverters):
         array.flags.writeable = False
-    return PowerFlow(case, V, injections, generation, at_buses, best.iteration, best.mismatch_pu)
+    return PowerFlow(case, V, injections, generation, at_buses, inverters, best.iteration, best.mismatch_pu)
 
 
 def _svc_q(case: Case, at_bus: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

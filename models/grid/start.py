@@ -18,6 +18,15 @@ from .series import with_series_nodes
 #: side of it, and `release_limits` widens it
 AT_LIMIT = 1e-6
 
+#: limit of the device of a dc link -> key of its row
+LINK_LIMITS = {
+    "AMIN": "alpha_min_deg",
+    "AMAX": "alpha_max_deg",
+    "GMIN": "gamma_min_deg",
+    "GMAX": "gamma_max_deg",
+}
+LINK_LIMITS |= {"IMIN": "i_min_pu", "IMAX": "i_max_pu"}
+
 
 @dataclass(frozen=True)
 class ControlMargin:
@@ -96,13 +105,16 @@ def require_off_limits(case: Case) -> None:
     CaseError : which signal, its limit, its distance, and what to do; as `start_of`.
     """
     lines = {row.name for row in case.tcscs}
-    at_buses = {svc.name for svc in case.svcs} | lines
+    links = {row.name for row in case.hvdcs}
+    at_buses = {svc.name for svc in case.svcs} | lines | links
     for item in start_of(case).margins if at_buses else ():
         m = item.margin
         if item.control in at_buses and item.at_limit:
             table, limit, elsewhere = "svcs", item.limit, "V_pu, Q_mvar"
             if item.control in lines:
                 table, limit, elsewhere = "tcscs", f"x_{limit[1:].lower()}_pu", "x0_pu"
+            elif item.control in links:
+                table, limit, elsewhere = "hvdcs", LINK_LIMITS.get(limit, limit), "gamma_deg, idc_ka or P_mw"
             raise CaseError(
                 f"{case.name}: {table}.{item.control}: {m.signal} ({m.text}) rests at {m.value:.6g}, "
                 f"{max(m.least, 0.0):.1g} from its limit {limit}; there it acts to one side only, so a "
@@ -118,7 +130,8 @@ def release_limits(case: Case, power_flow: PowerFlow | None = None) -> tuple[Cas
     CaseError : a control that cannot rest for another reason than a limit.
     """
     original, (case, power_flow) = case, _as_plant(case, power_flow)
-    in_lines = {row.name for row in case.tcscs}  # within their limits, or there is no case
+    # these rest within their limits, or there is no case
+    within = {row.name for row in case.tcscs} | {row.name for row in case.hvdcs}
     points, _, _, buses = machine_points(case, power_flow)
     change: dict[str, dict[str, dict[str, dict[str, float]]]] = {}
     messages: list[str] = []
@@ -126,7 +139,7 @@ def release_limits(case: Case, power_flow: PowerFlow | None = None) -> tuple[Cas
         (k, word) for k, word, rest in rests_of(case, points, buses)[1] if not isinstance(rest, Unrest)
     }
     for k, word, item in rests_of(case, points, buses, room=AT_LIMIT)[1]:
-        if not isinstance(item, Unrest) or item.row in in_lines:
+        if not isinstance(item, Unrest) or item.row in within:
             continue
         try:
             new = released(item.model, item.numbers, item.seen, item.output, item.who, AT_LIMIT)

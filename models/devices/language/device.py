@@ -71,8 +71,20 @@ KINDS: dict[str, Kind] = {
         ("iq",),
         ("Lvpnt0", "Lvpnt1", "Volim", "Khv", "Iolim"),
     ),
+    "hvdc": Kind(
+        {
+            "vdr": "dc voltage of the rectifier, pu of its base",
+            "vdi": "dc voltage of the inverter, pu of its base",
+            "p_mod": "modulation of the power, pu of its base",
+        },
+        "idc",
+        ("pset", "vref"),
+        "current `idc` and order `iord` of a dc link, pu, integral parts `xr` and `xi` of its angles, rad",
+        ("iord", "xr", "xi"),
+        ("KPR", "KPI", "MARGIN", "KM"),
+    ),
 }
-AT_BUS = ("svc", "statcom", "converter")  #: kinds of devices at a bus; the others belong to a machine
+AT_BUS = ("svc", "statcom", "converter", "hvdc")  #: kinds of devices at a bus; the others belong to a machine
 OF_SVC = ("svc", "statcom")  #: kinds of the table svcs
 OF_MACHINE = tuple(kind for kind in KINDS if kind not in AT_BUS)
 MBASE = "MBASE"  #: MVA base of the machine or of the device at a bus, known to every device

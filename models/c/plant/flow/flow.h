@@ -176,15 +176,20 @@ static size_t solve_sparse(real *memory, const Plan *plan, const Pattern *patter
     return 0;
 }
 
-/* Voltages that devices at buses see, and the powers of converters, on their base. */
+/* Voltages that devices at buses see, the powers of converters and dc voltages of links, on their base. */
 static void see_voltages(const real *memory, const Plan *plan, const num *x, Work *w)
 {
     for (size_t p = 0; p < plan->n_port; ++p) {
         const real *row = memory + plan->port + P_ROWS * p;
         if (!port_is_device(row) || index_at(row, P_SEES) == 0) continue;
-        const size_t at = plan->n_machine + index_at(row, P_SEES) - 1;
-        w->vt[at] = num_sqrt(w->port.v_re[p] * w->port.v_re[p] + w->port.v_im[p] * w->port.v_im[p]);
-        if (index_at(row, P_COUPLING) != COUPLING_CONVERTER) continue;
+        const size_t at = plan->n_machine + index_at(row, P_SEES) - 1, coupling = index_at(row, P_COUPLING);
+        const num v = num_sqrt(w->port.v_re[p] * w->port.v_re[p] + w->port.v_im[p] * w->port.v_im[p]);
+        if (coupling == COUPLING_RECTIFIER || coupling == COUPLING_INVERTER) {
+            *(coupling == COUPLING_RECTIFIER ? &w->vt[at] : &w->pe[at]) = dc_link_voltage(row, x, v);
+            continue;
+        }
+        w->vt[at] = v;
+        if (coupling != COUPLING_CONVERTER) continue;
         bus_device_power(row, x, w->port.v_re[p], w->port.v_im[p], &w->pe[at], &w->ifd[at]);
         w->pe[at] = num_ratio(w->pe[at], NUM(row[P_SCALE]));
         w->ifd[at] = num_ratio(w->ifd[at], NUM(row[P_SCALE]));
@@ -272,7 +277,7 @@ static void solve_devices(const real *memory, const Plan *plan, const num *x, co
     const Machines machines = machines_of(memory, plan, x, w);
     const DeviceSignals signals = { w->vt, w->vd, w->vq, w->id, w->iq, w->pe, machines.x.slip, w->ifd,
                                     memory + plan->pm_step, w->vc, w->vs, w->pm, w->efd, w->out, w->out, w->out,
-                                    w->pe, w->ifd, w->vs, w->vc };
+                                    w->out, w->pe, w->ifd, w->vs, w->vc, w->vt, w->pe };
 
     for (size_t k = 0; k < n; ++k) {
         w->efd[k] = NUM(table[M_EFD0 * n + k]);

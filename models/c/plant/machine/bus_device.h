@@ -1,7 +1,6 @@
 #ifndef INTERAREA_BUS_DEVICE_H
 #define INTERAREA_BUS_DEVICE_H
-#include "../numbers/layout.h"
-#include "../numbers/scalar.h"
+#include "dc_link.h"
 /* Devices at a bus whose states set a current into the network: with y = scale x + bias of the state x that couples
  * (a device's output is a state, or that; models/grid/coupling.py), system base, capacitive above 0,
  *
@@ -9,6 +8,7 @@
  *     current (STATCOM)       I = -j y V/u,   u = max(|V|, P_LOW)
  *     converter (REGC_A)      I = (g(|V|) ip - j (iq - h(|V|))) V/u, ip and iq two states times scale: g rises from
  *                             0 at P_ZERO to 1 at P_FULL, h by P_TAKEN above P_HIGH, where iq - h stops at P_LEAST
+ *     rectifier, inverter     the ends of a dc link (dc_link.h)
  *     none                    0: the voltage there is measured only
  *
  * The current turns with V, so the frame of folded ports (port.h) does not matter. */
@@ -37,13 +37,15 @@ static inline void bus_device_injection(const real *row, const num *x, num v_re,
         if (coupling == COUPLING_CONVERTER) {
             const num v = num_sqrt(v_re * v_re + v_im * v_im);
             converter_current(row, y, row[P_SCALE] * x[index_at(row, P_STATE_Q)], v, &along, &across);
+        } else if (coupling == COUPLING_RECTIFIER || coupling == COUPLING_INVERTER) {
+            dc_link_current(row, x, num_sqrt(v_re * v_re + v_im * v_im), &along, &across);
         }
         along = num_pick(on, along, NUM(0.0));
         across = num_pick(on, across, NUM(0.0));
     }
     *i_re = along * v_re - across * v_im;
     *i_im = along * v_im + across * v_re;
-    if (coupling == COUPLING_CURRENT || coupling == COUPLING_CONVERTER) {
+    if (coupling >= COUPLING_CURRENT) {
         const num v = num_sqrt(v_re * v_re + v_im * v_im), low = NUM(row[P_LOW]);
         const num u = num_pick(num_above(v, low), v, low);
         *i_re = num_ratio(*i_re, u);
@@ -99,6 +101,11 @@ static inline void bus_device_slope(const double *row, const double *x, size_t s
     if (coupling == COUPLING_CONVERTER) {
         const double iq = x == NULL ? row[P_REST_Q] : row[P_SCALE] * x[stride * index_at(row, P_STATE_Q)];
         converter_slope(row, y, iq, v_re, v_im, d);
+    } else if (coupling == COUPLING_RECTIFIER || coupling == COUPLING_INVERTER) {
+        DcEnd end;
+        double along_slope, across_slope;
+        dc_link_slope(row, x, stride, sqrt(v_re * v_re + v_im * v_im), &end, &along_slope, &across_slope);
+        bus_device_turned(end.along, end.across, along_slope, across_slope, v_re, v_im, row[P_LOW], d);
     } else if (coupling == COUPLING_CURRENT) {
         bus_device_turned(0.0, -y, 0.0, 0.0, v_re, v_im, row[P_LOW], d);
     } else {

@@ -54,7 +54,7 @@ enum {
     P_P_MIX,            /* constant-current share, constant-power share, share that    */
     P_Q_MIX = P_P_MIX + 5, /* follows an exponent, the exponent, voltage below which it
                            does not any more; the rest is constant impedance        */
-    P_ROWS = P_Q_MIX + 5
+    P_ROWS = P_Q_MIX + 9
 };
 enum {  /* the same rows at the port of a device at a bus (bus_device.h) */
     P_BUS = P_LOAD,     /* position of its bus                          */
@@ -71,6 +71,15 @@ enum {  /* the same rows at the port of a device at a bus (bus_device.h) */
     P_TAKEN,            /* and how much by voltage, system base         */
     P_LEAST             /* but not below this, system base              */
 };
+enum {  /* the same rows at an end of a dc link, currents and dc voltages on its base, angles in rad (dc_link.h) */
+    P_ORDER = P_ZERO,   /* state of the current order; P_STATE is that of the current, P_STATE_Q that of the angle */
+    P_NO_LOAD,          /* dc voltage without current, angle 0, at an ac voltage of 1 pu; P_SCALE: ac current by the dc one */
+    P_DROP,             /* commutation: fall of the dc voltage by the current */
+    P_GAIN,             /* of the angle: by the current of a rectifier, by the dc voltage of an inverter */
+    P_ANGLE_MIN, P_ANGLE_MAX,
+    P_MARGIN, P_MARGIN_GAIN, /* inverter: share of the order below which its angle follows the current too, and how much */
+    P_VREF              /* inverter: dc voltage that it holds */
+};
 enum {  /* the same rows at a machine's port */
     P_SATURATION = P_LOAD, /* SaturationKind                            */
     P_X2,               /* Xd2 - Xl                                     */
@@ -82,7 +91,8 @@ enum {  /* the same rows at a machine's port */
     P_SALIENCY          /* 1/(Xd2 - Xl) - 1/(Xq2 - Xl)                  */
 };
 typedef enum { PORT_LOAD = 1, PORT_MACHINE, PORT_DEVICE, PORT_KINDS } PortKind;
-typedef enum { COUPLING_NONE, COUPLING_SUSCEPTANCE, COUPLING_CURRENT, COUPLING_CONVERTER, COUPLING_KINDS } CouplingKind;
+typedef enum { COUPLING_NONE, COUPLING_SUSCEPTANCE, COUPLING_CURRENT, COUPLING_CONVERTER, COUPLING_RECTIFIER,
+               COUPLING_INVERTER, COUPLING_KINDS } CouplingKind;
 typedef enum { SATURATION_NONE, SATURATION_TOTAL, SATURATION_INCREMENTAL } SaturationKind;
 
 /* What is shown, outputs and then locals: its kind and which machine, bus or line. */

@@ -1,0 +1,131 @@
+"""The row of a dc link with line-commutated converters."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Self
+
+from pydantic import Field, model_validator
+
+from .control_schema import Control, NonNegative, Positive, Row
+from .schema import BusNumber
+
+Angle = Annotated[float, Field(strict=True, gt=0.0, lt=90.0)]  #: of a converter, deg
+
+
+class Hvdc(Row):
+    """A dc link with line-commutated converters: a rectifier at one bus, an inverter at another.
+
+    The inverter rests at `gamma_deg`, the rectifier at the angle that `idc_ka` or `P_mw` asks for. The
+    voltages of its buses commutate: filters and reactances in front of them are rows of their own.
+    """
+
+    name: Annotated[str, Field(strict=True, max_length=64, pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]  #: its id
+    rectifier_bus: BusNumber  #: number of the bus where it takes power
+    inverter_bus: BusNumber  #: number of the bus where it gives it
+    base_mva: Positive  #: rated power, base of its per-unit values with `vdc_kv`
+    vdc_kv: Positive  #: rated dc voltage
+    idc_ka: Positive | None = None  #: current at rest, which its control then keeps; None: `P_mw`
+    P_mw: Positive | None = None  #: dc power of the rectifier at rest, which its control then keeps
+    gamma_deg: Angle  #: extinction angle of the inverter at rest
+    bridges: Annotated[int, Field(strict=True, ge=1)] = 2  #: six-pulse bridges in series, at each end
+    rectifier_kv: Positive  #: line voltage at the valves of a bridge where the bus has 1 pu, taps included
+    inverter_kv: Positive  #: the same of the inverter
+    rectifier_xc_ohm: NonNegative  #: commutation reactance of a bridge
+    inverter_xc_ohm: NonNegative  #: the same of the inverter
+    r_ohm: NonNegative  #: resistance of the line
+    l_mh: Positive  #: inductance of the line and of both smoothing reactors
+    alpha_min_deg: Angle = 5.0  #: least delay angle of the rectifier
+    alpha_max_deg: Angle = 85.0  #: largest
+    gamma_min_deg: Angle = 15.0  #: least extinction angle of the inverter
+    gamma_max_deg: Angle = 85.0  #: largest
+    rectifier_gain: NonNegative = 0.5  #: of the delay angle, rad by pu of current
+    rectifier_integral: Positive = 5.0  #: of it, rad/s by pu of current
+    inverter_gain: Annotated[float, Field(strict=True, ge=0.0, le=1.0)] = 0.1  #: rad by pu of dc voltage
+    inverter_integral: Positive = 1.0  #: of it, rad/s by pu of dc voltage
+    margin: Annotated[float, Field(strict=True, gt=0.0, lt=1.0)] = 0.1  #: of the order: room of the current
+    margin_gain: NonNegative = 5.0  #: of the current beyond, by that of the voltage
+    i_min_pu: NonNegative = 0.1  #: least current order
+    i_max_pu: Positive = 1.2  #: largest
+    p_mod_pu: NonNegative = 0.1  #: largest modulation, either sign
+    v_min_pu: Positive = 0.5  #: least dc voltage by which a power is divided
+    t_voltage_s: NonNegative = 0.02  #: measurement of the dc voltage
+    t_order_s: Positive = 0.02  #: time constant of the current order
+
+    @model_validator(mode="after")
+    def _one_order(self) -> Self:
+        if (self.idc_ka is None) == (self.P_mw is None):
+            got = "neither" if self.P_mw is None else "both"
+            raise ValueError(f"{got} of idc_ka and P_mw, allowed: one, which the control keeps")
+        if self.rectifier_bus == self.inverter_bus:
+            raise ValueError(f"rectifier_bus = inverter_bus = {self.inverter_bus}, allowed: two buses")
+        for low, high in (
+            ("alpha_min_deg", "alpha_max_deg"),
+            ("gamma_min_deg", "gamma_max_deg"),
+            ("i_min_pu", "i_max_pu"),
+        ):
+            a, b = getattr(self, low), getattr(self, high)
+            if not a < b:
+                raise ValueError(f"{low} = {a:g} with {high} = {b:g}, allowed: {low} < {high}")
+        if not self.gamma_deg >= self.gamma_min_deg:
+            raise ValueError(
+                f"gamma_deg = {self.gamma_deg:g} is below gamma_min_deg = {self.gamma_min_deg:g}: the "
+                "inverter would not commutate; allowed: at least that; set gamma_deg or gamma_min_deg"
+            )
+        if not self.gamma_deg <= self.gamma_max_deg:
+            raise ValueError(
+                f"gamma_deg = {self.gamma_deg:g} with gamma_max_deg = {self.gamma_max_deg:g}, allowed: at "
+                "most that"
+            )
+        return self
+
+    @property
+    def V_pu(self) -> None:
+        """None: the power flow lets the voltages of its buses free."""
+        return None
+
+    @property
+    def bus(self) -> int:
+        """Number of the rectifier's bus."""
+        return self.rectifier_bus
+
+    @property
+    def seen_bus(self) -> int:
+        """Number of the inverter's bus."""
+        return self.inverter_bus
+
+    @property
+    def base_ohm(self) -> float:
+        """Base of its resistances."""
+        return self.vdc_kv**2 / self.base_mva
+
+    @property
+    def control(self) -> Control:
+        """Its device with all values, per unit, rad and s."""
+        angles = {
+            key: math.radians(value)
+            for key, value in (
+                ("AMIN", self.alpha_min_deg),
+                ("AMAX", self.alpha_max_deg),
+                ("GMIN", self.gamma_min_deg),
+                ("GMAX", self.gamma_max_deg),
+            )
+        }
+        values = angles | {
+            "POWER": float(self.P_mw is not None),
+            "TV": self.t_voltage_s,
+            "TI": self.t_order_s,
+            "VMIN": self.v_min_pu,
+            "PMOD": self.p_mod_pu,
+            "IMIN": self.i_min_pu,
+            "IMAX": self.i_max_pu,
+            "KPR": self.rectifier_gain,
+            "KIR": self.rectifier_integral,
+            "KPI": self.inverter_gain,
+            "KII": self.inverter_integral,
+            "MARGIN": 1.0 - self.margin,
+            "KM": self.margin_gain,
+            "R": self.r_ohm / self.base_ohm,
+            "L": 1e-3 * self.l_mh / self.base_ohm,
+        }
+        return Control(kind="lcc", **values)  # type: ignore[arg-type]
