@@ -40,24 +40,25 @@ Key = TypeVar("Key", bound=Hashable)
 class FaultRun:
     """One run: events after a start at rest, and the controller whose signals come late or not at all.
 
-    events : as in a scenario file. latency_s : of every signal. lost_s : signal -> when it goes for good: it
-    is zero at once, as in the linear loops.
+    events : as in a scenario file. latency_s : of every signal, or of each, 0 where it is not named. lost_s :
+    signal -> when it goes for good: it is zero at once, as in the linear loops.
     """
 
     events: Sequence[Mapping[str, Any]]
     stop_s: float
     controller: Controller | ControllerBank | None = None
-    latency_s: float = 0.0
+    latency_s: float | Mapping[str, float] = 0.0
     lost_s: Mapping[str, float] = field(default_factory=dict)
 
     def document(self) -> dict[str, Any]:
         """Return it as a scenario; case and controller are given to it as objects."""
         document: dict[str, Any] = {"case": "given", "stop_s": self.stop_s, "event": list(self.events)}
         if self.controller is not None:
+            late = self.latency_s
             document["channels"] = {
                 f"from_{signal}": {
                     "signal": signal,
-                    "latency_s": self.latency_s,
+                    "latency_s": late.get(signal, 0.0) if isinstance(late, Mapping) else late,
                     "on_loss": "zero",
                     "outages_s": [[self.lost_s[signal], self.stop_s]] if signal in self.lost_s else [],
                 }

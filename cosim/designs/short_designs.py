@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from math import pi
 from pathlib import Path
 
-from interarea.design.delay.signal_conditions import condition_of_many
+import control
+
+from interarea.design.delay.signal_conditions import Condition, condition_of_many
 from interarea.design.errors import InfeasibleDesign, UncertifiedDesign
 from interarea.design.linear.linearise import remove_reference
 from interarea.design.modes.loop_points import LoopSet
@@ -115,28 +117,53 @@ def _signals_of(chosen: LoopSet, case: Case) -> dict[str, tuple[str, ...]]:
 
 
 def _reached(plant: FamilyPlant, sees: dict[str, tuple[str, ...]], latency_s: float) -> float:
-    signals = plant.signals
-    conditions = tuple(condition_of_many(code, signals) for code in ("N", f"s{round(1e3 * latency_s)}"))
+    codes = ("N", f"s{round(1e3 * latency_s)}")
+    conditions = tuple(condition_of_many(code, plant.signals) for code in codes)
     band_hz = inter_area_band(plant.modes)
+    system = short_controller({"base": plant}, sees, conditions, offsets=_offsets(band_hz), effort=_CAP)
+    if system is None:
+        return 0.0
+    try:
+        judged = judge_family({"base": plant.judged}, system, conditions, bands_hz={"base": band_hz})
+    except UncertifiedDesign:
+        return 0.0
+    return float(judged.inter_area)
+
+
+def short_controller(
+    plants: Mapping[str, FamilyPlant],
+    sees: Mapping[str, tuple[str, ...]],
+    conditions: Sequence[Condition],
+    *,
+    offsets: BandOffsets,
+    effort: float,
+    start: control.StateSpace | None = None,
+) -> control.StateSpace | None:
+    """Design loops shortly, four states each, two first guesses; None: no stable controller was found.
+
+    plants : operating point -> plant with all signals and actuators. sees : actuator -> its signals. effort :
+    pu per rad/s at most, under the first condition. start : a controller of that size to start from too.
+    """
+    first = next(iter(plants.values()))
     spec = RobustSpec(
-        signals=signals,
+        signals=first.signals,
         actuators=tuple(sees),
-        conditions=conditions,
+        conditions=tuple(conditions),
         sees={a: (signal_names, _STATES) for a, signal_names in sees.items()},
-        effort_cap=((0.05, _CAP), (300.0, _CAP)),
-        effort_under=("N",),
-        offsets=_offsets(band_hz),
+        effort_cap=((0.05, effort), (300.0, effort)),
+        effort_under=(conditions[0].name,),
+        offsets=offsets,
         plant_order=36,
         pade_order=2,
         starts=2,
         stages=(Stage(rho=(80.0,), steps=12),),
+        start=start,
     )
+    searched = {point: plant.searched for point, plant in plants.items()}
     try:
-        design = design_robust({"base": plant.searched}, spec, plant.case.omega_b)
-        judged = judge_family({"base": plant.judged}, design.system, conditions, bands_hz={"base": band_hz})
+        return design_robust(searched, spec, first.case.omega_b).system
     except (InfeasibleDesign, UncertifiedDesign):
-        return 0.0
-    return float(judged.inter_area)
+        return None
 
 
 def _offsets(band_hz: tuple[float, float]) -> BandOffsets:

@@ -254,13 +254,23 @@ def _common_rises(
         cases = dict(list(cases.items())[:1])
     if not all(name.endswith("_dw") for name in table.signals):
         return dict.fromkeys(systems)
-    largest: dict[str, float | None] = {}
-    for case in cases.values():
+    return dict(common_rises(list(cases.values()), fault, systems, cache))
+
+
+def common_rises(
+    cases: Sequence[Case], fault: FaultTable, systems: Mapping[str, control.StateSpace], cache: Path
+) -> dict[str, float]:
+    """Return the largest mean answer (pu) of controllers to the speeds of an uncontrolled fault.
+
+    0.5 to 2 s after it, over all cases; every input a machine's speed, rad/s.
+    """
+    largest = dict.fromkeys(systems, 0.0)
+    for case in cases:
         time_s, speeds = uncontrolled_speeds(case, fault, cache)
         in_rad = {name: case.omega_b * values for name, values in speeds.items()}
         for name, K in systems.items():
             mean = float(np.abs(mean_outputs(K, time_s, in_rad, (), fault)).max(initial=0.0))
-            largest[name] = max(mean, largest.get(name) or 0.0)
+            largest[name] = max(mean, largest[name])
     return largest
 
 

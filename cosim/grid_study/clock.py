@@ -17,6 +17,7 @@ ENDS = {
     "local stabilizers": 0.85,
     "own-signal rival": 0.92,
     "latency": 1.0,
+    "links": 1.0,
 }
 #: shares of the whole time for the search of one set of loops: each first guess, and the stage that follows
 GUESS, SEARCH = 0.025, 0.1

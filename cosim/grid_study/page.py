@@ -38,7 +38,7 @@ def write_page(study: Mapping[str, Any], modes: Sequence[Mode], shapes: Sequence
     modes : those shown, in the order of the page. shapes : figures of the first ones (`mode_shapes`).
     """
     environment = page_environment(Path(__file__).parent)
-    environment.filters |= {"plain": plain, "ratio": _ratio}
+    environment.filters |= {"plain": plain, "ratio": ratio}
     environment.filters["sentence"] = sentence
     text = environment.get_template("grid_study.html.j2").render(
         study=study,
@@ -187,5 +187,6 @@ def _clearing_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
     return figure
 
 
-def _ratio(value: float | None) -> str:
+def ratio(value: float | None) -> str:
+    """Return a damping ratio, or another number of that size, in three places; a dash for none."""
     return "–" if value is None else f"{value:.3f}".replace("-", "−")

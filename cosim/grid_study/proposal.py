@@ -148,7 +148,7 @@ def propose(
     if weak.plant.nstates > DENSE_STATES:
         kept = kept[: max(LARGE_ROWS // len(conditions), 2)]
     names = {point.name for point in kept}
-    acceptance = _acceptance(weak, tried, kept, RUNS // (1 + len(signals)))
+    acceptance = acceptance_of(weak, tried, kept, RUNS // (1 + len(signals)))
     guard = _guard(weak, acceptance, parts, cache)
     least = [_least_of_all(row) for row in tried if row.point.name in names]
     least.append(min(m.damping_ratio for m in weak.all_modes.modes))
@@ -160,7 +160,7 @@ def propose(
         "fastest_pole": 60.0,
         "effort_cap": [[0.05, choices.effort], [300.0, choices.effort]],
         "effort_under": ["N"],
-        "offset": _offset(weak, tried, names, min(taken.damping, ENOUGH)),
+        "offset": offset_of(weak, tried, names, min(taken.damping, ENOUGH)),
         "plant_order": PLANT_ORDER,
         "pade_order": 3,
         "limit_pu": LIMIT_PU,
@@ -236,7 +236,7 @@ def _conditions(signals: Sequence[str], latencies_ms: Sequence[int]) -> list[str
     return rows
 
 
-def _offset(
+def offset_of(
     weak: WeakModes, tried: Sequence[TriedPoint], names: set[str], reached: float
 ) -> list[list[float]]:
     """Ask the most of the inter-area band, of local modes what they have, of slow and fast ones less.
@@ -276,7 +276,7 @@ def _least_of_all(row: TriedPoint) -> float:
     return min((mode.damping_ratio for mode in row.modes), default=1.0)
 
 
-def _acceptance(
+def acceptance_of(
     weak: WeakModes, tried: Sequence[TriedPoint], points: Sequence[PointTable], most: int
 ) -> AcceptanceTable:
     """Return `most` faults at the branches whose power swings most, each cleared by the trip of that branch.

@@ -43,22 +43,73 @@ def study(
     second_solver: Annotated[
         bool, typer.Option(help="of a study: solve every LMI by cvxpy with Clarabel too, in a process beside")
     ] = True,
+    grid: Annotated[
+        list[str] | None,
+        typer.Option("--grid", metavar="GRID", help="of the study worth: a grid; again for more"),
+    ] = None,
     json_: Annotated[bool, typer.Option("--json", help="print JSON instead of the files' names")] = False,
 ) -> None:
     """Run a whole study, or study a grid: modes, a design made for it, faults, report.html, study.json.
 
     Of a grid: exit code 1 where no controller that holds what is asked came out; the page has the reason.
+    The study `worth` says of named grids whether a wide-area signal pays: worth.html, worth.parquet.
     """
+    from interarea.models.errors import UserError
+
     from .destination import folder_for
     from .grids import grid_of
 
+    if name == "worth":
+        _study_worth(out, dyr, minutes, grid or [], json_=json_)
+        return
+    if grid:
+        raise UserError(f"--grid {grid[0]}: goes with the study worth, not with {name}; name one grid alone")
     folder_for(out, files=_FILES)
     choices = _choices_of(name, dyr, minutes)
     grid_dyr = None if choices.dyr is None else Path(choices.dyr)
-    if (grid := grid_of(choices.grid, grid_dyr)) is not None:
-        _study_grid(name, choices, *grid, out, json_=json_)
+    if (loaded := grid_of(choices.grid, grid_dyr)) is not None:
+        _study_grid(name, choices, *loaded, out, json_=json_)
         return
     _run_study(name, out, second_solver=second_solver, json_=json_)
+
+
+def _study_worth(
+    out: Path, dyr: Path | None, minutes: float | None, grids: list[str], *, json_: bool
+) -> None:
+    from interarea.cosim.grid_study.link_study import FILES, GRIDS, MINUTES, stages, study_links
+    from interarea.fmu_build.write.cache import default_cache
+    from interarea.models.case.document import case_names
+    from interarea.models.errors import UserError
+
+    from .destination import folder_for
+    from .grids import grid_of
+
+    if dyr is not None:
+        raise UserError(
+            f"--dyr {dyr}: not with the study worth; import the grid first, then --grid CASE.toml"
+        )
+    folder_for(out, files=FILES)
+    cases = {}
+    for name in grids or GRIDS:
+        if (loaded := grid_of(name)) is None:
+            raise UserError(
+                f"--grid {name}: no grid, allowed: a case file, .raw, .m, or one of {', '.join(case_names())}"
+            )
+        cases[name] = loaded[0]
+    minutes = minutes or MINUTES
+    named = "".join(f" --grid {name}" for name in grids)
+    command = f"interarea study worth{named} --out {out} --minutes {minutes:g}"
+    with stage_progress(stages(list(cases))) as report:
+        result = study_links(cases, out, default_cache(), minutes=minutes, command=command, report=report)
+    if json_:
+        conclusions = {one["grid"]: one["conclusion"] for one in result["grids"]}
+        files = [str(out / name) for name in FILES]
+        typer.echo(json.dumps({"study": "worth", "grids": conclusions, "files": files}, indent=2))
+    else:
+        for file in FILES:
+            typer.echo(out / file)
+    for one in result["grids"]:
+        note(f"{one['grid']}: {one['conclusion']}")
 
 
 def _choices_of(name: str, dyr: Path | None, minutes: float | None) -> Choices:
