@@ -84,7 +84,11 @@ def located(
     RecordError : no terminal with power, voltage and angle, no oscillation, or too few periods of it.
     """
     terminals, notes = terminals_of(record, at)
-    f = _peak(record, terminals, band_hz) if frequency_hz is None else frequency_hz
+    f = (
+        frequency_hz
+        if frequency_hz is not None
+        else strongest_line(record, [t.P for t in terminals], band_hz)
+    )
     if not 0.0 < f < 0.4 / record.step_s:
         raise RecordError(f"{record.source}: {f:g} Hz, allowed: above 0 and below {0.4 / record.step_s:g}")
     if not record.length_s * f >= _LEAST_PERIODS:
@@ -106,9 +110,12 @@ def located(
     return Source(record.source, f, record.length_s, unit, tuple(order), source, why, lines, tuple(notes))
 
 
-def _peak(record: Record, terminals: Sequence[Terminal], band_hz: tuple[float, float]) -> float:
-    """Return the frequency with the largest peak in the powers, of a Hann window."""
-    P = np.column_stack([t.P - np.linspace(t.P[0], t.P[-1], len(t.P)) for t in terminals])
+def strongest_line(record: Record, signals: Sequence[Array], band_hz: tuple[float, float]) -> float:
+    """Return the frequency (Hz) with the largest peak in signals of a record, of a Hann window.
+
+    Raises RecordError where nothing stands out or the record is too short for the band.
+    """
+    P = np.column_stack([x - np.linspace(x[0], x[-1], len(x)) for x in signals])
     window = np.hanning(len(P))[:, None]
     size = np.sqrt(
         np.sum(np.abs(np.fft.rfft((P - P.mean(axis=0)) * window, 4 * len(P), axis=0)) ** 2, axis=1)

@@ -24,6 +24,7 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 from scipy import sparse
+from scipy.sparse.linalg import splu
 
 from interarea.models.errors import InterareaError
 from interarea.models.grid.dc_link import INVERTER
@@ -62,6 +63,14 @@ class Slopes(Protocol):
 
     def slopes(self, vx: Matrix, vu: Matrix, vv: ComplexArray) -> tuple[Matrix, ComplexArray]:
         """Return the moves of dx/dt (n,) and of the sources' currents, for moves of x, u and voltages."""
+
+
+@dataclass(frozen=True)
+class Forced:
+    """Complex amplitudes of states (n, k) and of the parts of the buses' voltages (b, 2, k)."""
+
+    states: ComplexArray
+    voltages: ComplexArray
 
 
 @dataclass(frozen=True)
@@ -149,6 +158,57 @@ class SparsePlant:
         """Return the voltage of each bus, (b, 2, ...): real and imaginary part, for states (n, ...)."""
         V = self.elimination.everywhere(self.at_rest.solve(self.devices[2] @ x))
         return np.asarray(V.reshape(-1, 2, *V.shape[1:]))
+
+    def size_and_angle(self, dV: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+        """Return the moves (b, ...) of each voltage's size (pu) and angle (rad), for dV (b, 2, ...)."""
+        re, im = self._times_voltage(self.at_bus.conj(), dV)
+        size = np.abs(self.at_bus)[:, None]
+        return re / size, im / size**2
+
+    def branch_flows(
+        self, dV: npt.NDArray[Any]
+    ) -> tuple[npt.NDArray[Any], npt.NDArray[Any], npt.NDArray[Any]]:
+        """Return the moves of P, Q and size of the current into each branch at its `from` end, pu.
+
+        dV : (b, 2, ...) of each bus voltage's real and imaginary part. Result : (branches, ...) each.
+        """
+        a, b = self.ends.T
+        own, mutual = self.stamps[:, 0], self.stamps[:, 1]
+        V, I = self.at_bus[a], own * self.at_bus[a] + mutual * self.at_bus[b]
+        dI = np.stack(self._times_voltage(own, dV[a]), axis=1) + np.stack(
+            self._times_voltage(mutual, dV[b]), axis=1
+        )
+        # S = V conj(I): dS = conj(I) dV + V conj(dI)
+        p_of_v, q_of_v = self._times_voltage(I.conj(), dV[a])
+        p_of_i, q_of_i = self._times_voltage(V.conj(), dI)
+        size, _ = self._times_voltage(I.conj(), dI)
+        return p_of_v + p_of_i, q_of_v - q_of_i, size / np.maximum(np.abs(I), 1e-9)[:, None]
+
+    @staticmethod
+    def _times_voltage(y: ComplexArray, v: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+        """Real and imaginary part of y v, each a complex amplitude: v (k, 2, ...), y (k,)."""
+        re, im = v[:, 0], v[:, 1]
+        return y.real[:, None] * re - y.imag[:, None] * im, y.real[:, None] * im + y.imag[:, None] * re
+
+    def forced(self, s: complex, moved: npt.NDArray[Any], injected: npt.NDArray[Any]) -> Forced:
+        """Return what swings of s (1/s) do that act on the states' derivatives and on the buses.
+
+        moved : (n, k) dx/dt of each of k sources. injected : (b, 2, k) current into each bus, its real and
+        imaginary part, pu.
+        """
+        inner = np.linalg.inv(s * np.eye(self.A.shape[1]) - self.A)
+        y = inner @ self.spread(moved)
+        rows = np.stack([2 * self.bus, 2 * self.bus + 1], axis=-1).reshape(len(self.bus), -1)
+        current = injected.reshape(-1, injected.shape[-1]).astype(complex)
+        np.add.at(current, rows, self.C @ y)
+        each = rows[:, :, None], rows[:, None, :]
+        entries = (-(self.C @ inner @ self.B)).ravel()
+        at = tuple(np.broadcast_to(k, (*rows.shape, rows.shape[1])).ravel() for k in each)
+        N = sparse.csc_matrix(self.G, dtype=complex) + sparse.csc_matrix((entries, at), shape=self.G.shape)
+        V = splu(N).solve(current)
+        states = np.zeros((self.nstates + 1, V.shape[1]), dtype=complex)
+        states[self.place] = y + inner @ (self.B @ V[rows])
+        return Forced(states[:-1], V.reshape(-1, 2, V.shape[1]))
 
     def times(self, x: npt.NDArray[Any]) -> npt.NDArray[Any]:
         """Return A x (n, ...) for x (n, ...)."""

@@ -187,9 +187,8 @@ def signals_of(
     for a, b in _pairs(speeds, machine_area, aimed):
         name = swing_name(plant.machines[a], plant.machines[b])
         signals.append(Signal(name, "speed", speeds[a] - speeds[b]))
-    dV, voltages = plant.voltages(right), plant.at_bus
-    size2 = np.abs(voltages) ** 2
-    theta = (voltages.real[:, None] * dV[:, 1] - voltages.imag[:, None] * dV[:, 0]) / size2[:, None]
+    dV = plant.voltages(right)
+    _, theta = plant.size_and_angle(dV)
     bus_area = _bus_areas(plant, machine_area)
     for a, b in _pairs(theta, bus_area, aimed):
         name = f"{plant.bus_names[a]}_{plant.bus_names[b]}"
@@ -200,26 +199,7 @@ def signals_of(
 
 def _branches(plant: SparsePlant, dV: ComplexArray) -> list[Signal]:
     """Active power into each branch at its `from` end, and the size of the current there."""
-    a, b = plant.ends.T
-    own, mutual, voltages = plant.stamps[:, 0], plant.stamps[:, 1], plant.at_bus
-    current = own * voltages[a] + mutual * voltages[b]
-
-    def product(y: ComplexArray, v: npt.NDArray[Any]) -> tuple[Any, Any]:
-        """Real and imaginary part of y v, each a complex amplitude of the mode."""
-        re, im = v[:, 0], v[:, 1]
-        return y.real[:, None] * re - y.imag[:, None] * im, y.real[:, None] * im + y.imag[:, None] * re
-
-    parts = [product(own, dV[a]), product(mutual, dV[b])]
-    i_re, i_im = parts[0][0] + parts[1][0], parts[0][1] + parts[1][1]
-    V, I = voltages[a], current
-    power = (
-        V.real[:, None] * i_re
-        + V.imag[:, None] * i_im
-        + I.real[:, None] * dV[a, 0]
-        + I.imag[:, None] * dV[a, 1]
-    )
-    size = np.maximum(np.abs(I), 1e-9)[:, None]
-    flow = (I.real[:, None] * i_re + I.imag[:, None] * i_im) / size
+    power, _, flow = plant.branch_flows(dV)
     branches = [Signal(f"power_{name}", "power", power[k]) for k, name in enumerate(plant.branches)]
     return branches + [Signal(f"current_{name}", "current", flow[k]) for k, name in enumerate(plant.branches)]
 

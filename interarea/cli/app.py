@@ -114,7 +114,7 @@ COMMANDS = {
     ),
     "locate": (
         "records.locate:locate",
-        "Locate an oscillation by the dissipating energy flow at each terminal, with checks.",
+        "Locate an oscillation: by the energy flow at each terminal and, with --case, by the grid's model.",
     ),
     "cache": (
         "cache:cache",

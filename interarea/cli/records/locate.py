@@ -1,4 +1,4 @@
-"""The command `locate`: through which terminal an oscillation comes in."""
+"""The command `locate`: through which terminal an oscillation comes in, and at which place of a grid."""
 
 from __future__ import annotations
 
@@ -11,7 +11,12 @@ from ..terminal import busy, note, print_table
 from .options import Band, CaseName, RecordFile, Units, Window, band_of, opened
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from interarea.cosim.records.energy import Source
+    from interarea.cosim.records.model_source import ModelSource
+    from interarea.cosim.records.record import Record
+    from interarea.models.case.case import Case
 
 _SHOWN = 12  #: terminals
 
@@ -28,32 +33,76 @@ def locate(
     unit: Units = None,
     json_: Annotated[bool, typer.Option("--json", help="print JSON instead of a table")] = False,
 ) -> None:
-    """Locate an oscillation by the dissipating energy flow at each terminal, with checks."""
-    from interarea.cosim.records.energy import located
-
+    """Locate an oscillation: by the energy flow at each terminal and, with --case, by the grid's model."""
     region = band_of(band)
-    places, frequency_hz = _places(case)
-    record = opened(file, window, unit, frequency_hz)
-    with busy(f"energy flow of {file.name}"):
-        result = located(record, band_hz=region, frequency_hz=frequency, at=places)
-    for line in result.notes:
+    grid = _grid(case)
+    record = opened(file, window, unit, grid.frequency_hz if grid else 60.0)
+    flow, failed = _by_energy(file, record, region, frequency, grid)
+    model = None
+    if grid is not None:
+        from interarea.cosim.records.model_source import source_by_model
+        from interarea.cosim.run.artefacts import sparse_linear_plant
+        from interarea.fmu_build.write.cache import default_cache
+
+        with busy(f"sources in {grid.name}"):
+            plant = sparse_linear_plant(grid, default_cache())
+            line = frequency if flow is None else flow.frequency_hz
+            model = source_by_model(record, grid, plant, frequency_hz=line, band_hz=region)
+    for line in (
+        *((failed,) if failed else ()),
+        *(flow.notes if flow else ()),
+        *(model.notes if model else ()),
+    ):
         note(f"{file.name}: {line}")
     if json_:
-        typer.echo(json.dumps(result.as_dict(), indent=2, allow_nan=False))
+        shown = {**(flow.as_dict() if flow else {}), **({"model": model.as_dict()} if model else {})}
+        typer.echo(json.dumps(shown, indent=2, allow_nan=False))
         return
-    _print(result)
+    if flow is not None:
+        _print(flow)
+    if model is not None:
+        _print_model(model)
 
 
-def _places(case: str | None) -> tuple[dict[str, str], float]:
-    """Return for each machine and branch of a case the bus that has its voltage; its frequency, Hz."""
+def _grid(case: str | None) -> Case | None:
     if case is None:
-        return {}, 60.0
+        return None
     from interarea.models.case.case import load_case
 
-    loaded = load_case(case)
-    places = {m.name: f"bus{m.bus}" for m in loaded.machines}
-    places |= {f"branch[{b.name}]": f"bus{b.from_bus}" for b in loaded.branches}
-    return places, loaded.frequency_hz
+    return load_case(case)
+
+
+def _by_energy(
+    file: Path, record: Record, band: tuple[float, float], frequency: float | None, grid: Case | None
+) -> tuple[Source | None, str]:
+    """Return what the energy flow says, or why it says nothing where the model is asked as well."""
+    from interarea.cosim.records.energy import located
+    from interarea.cosim.records.record import RecordError
+
+    places = {m.name: f"bus{m.bus}" for m in grid.machines} if grid else {}
+    places |= {f"branch[{b.name}]": f"bus{b.from_bus}" for b in grid.branches} if grid else {}
+    try:
+        with busy(f"energy flow of {file.name}"):
+            return located(record, band_hz=band, frequency_hz=frequency, at=places), ""
+    except RecordError as error:
+        if grid is None:
+            raise
+        return None, f"no energy flow: {error}"
+
+
+def _print_model(result: ModelSource) -> None:
+    title = f"{result.case}: {result.frequency_hz:.4f} Hz, {result.channels} channels"
+    rows = [
+        (
+            " and ".join(c.places),
+            " and ".join(c.kinds),
+            " and ".join(f"{a:.3g} {unit}" for a, unit in zip(c.amplitude, c.units, strict=True)),
+            f"{c.unexplained:.2%}",
+        )
+        for c in result.candidates
+    ]
+    print_table(title, ("source", "kind", "amplitude", "unexplained"), rows)
+    typer.echo(f"by the model: {result.source.text if result.source else 'not named'}; {result.why}")
 
 
 def _print(result: Source) -> None:
@@ -65,4 +114,4 @@ def _print(result: Source) -> None:
     print_table(title, ("terminal", f"energy out of the bus, {result.unit}", "halves", "rms of P"), rows)
     for a, b, apart in result.lines:
         typer.echo(f"the ends {a} and {b} agree to {apart:.1%}")
-    typer.echo(f"source: {result.source or 'not named'}; {result.why}")
+    typer.echo(f"by the energy flow: {result.source or 'not named'}; {result.why}")
