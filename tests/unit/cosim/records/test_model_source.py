@@ -12,6 +12,8 @@ import pytest
 from command_line import invoke
 
 import interarea as ia
+from interarea.cosim.designs.design_tables import PointTable
+from interarea.cosim.designs.family import at_point
 from interarea.cosim.records.model_source import LOAD, MECHANICAL, REFERENCE, ModelSource, source_by_model
 from interarea.cosim.records.record import Channel, Record, RecordError
 from interarea.cosim.run.artefacts import sparse_linear_plant
@@ -184,3 +186,17 @@ def test_the_command_says_both_answers(tmp_path: Path, monkeypatch: pytest.Monke
     code, _, err = invoke(["locate", str(volts)], monkeypatch)
     assert code == 2
     assert "no terminal has power and angle" in err
+
+
+@pytest.mark.parametrize(
+    ("point", "named"),
+    [(PointTable(name="load", load_scale=1.1), True), (PointTable(name="out", out=("7-8 a",)), False)],
+)
+def test_another_load_leaves_more_and_a_missing_line_names_nothing(point: PointTable, named: bool) -> None:
+    """The record is of the grid as it is; the model of 10 % more load, or without a circuit of the tie."""
+    record = recorded("two-area-thesis", ("voltage_reference", "machine", "G3", 0.01))
+    case = at_point(load_case("two-area-thesis"), point)
+    result = source_by_model(record, case, sparse_linear_plant(case, default_cache()), frequency_hz=F)
+    assert 1e-3 < result.candidates[0].unexplained < 0.1
+    assert (result.source is not None) == named
+    assert result.candidates[0].places == ("G3",)
