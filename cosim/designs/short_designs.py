@@ -27,7 +27,7 @@ from .family import DENSE_STATES, FamilyPlant
 
 #: of every signal in the second condition of a short design, s
 LATENCY_S = 0.15
-_STATES = 4  # of each loop
+STATES = 4  # of each loop
 _CAP = 0.6  # pu per rad/s
 
 
@@ -138,24 +138,26 @@ def short_controller(
     offsets: BandOffsets,
     effort: float,
     start: control.StateSpace | None = None,
+    starts: int = 2,
 ) -> control.StateSpace | None:
-    """Design loops shortly, four states each, two first guesses; None: no stable controller was found.
+    """Design loops shortly, four states each; None: no stable controller was found.
 
     plants : operating point -> plant with all signals and actuators. sees : actuator -> its signals. effort :
-    pu per rad/s at most, under the first condition. start : a controller of that size to start from too.
+    pu per rad/s at most, under the first condition. start : a controller of that size to start from too,
+    beside so many first guesses.
     """
     first = next(iter(plants.values()))
     spec = RobustSpec(
         signals=first.signals,
         actuators=tuple(sees),
         conditions=tuple(conditions),
-        sees={a: (signal_names, _STATES) for a, signal_names in sees.items()},
+        sees={a: (signal_names, STATES) for a, signal_names in sees.items()},
         effort_cap=((0.05, effort), (300.0, effort)),
         effort_under=(conditions[0].name,),
         offsets=offsets,
         plant_order=36,
         pade_order=2,
-        starts=2,
+        starts=starts,
         stages=(Stage(rho=(80.0,), steps=12),),
         start=start,
     )

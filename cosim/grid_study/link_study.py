@@ -158,18 +158,20 @@ class _GridLinks:
         sees, missing = signals_of_set(designs.weak, chosen)
         if AFAR in missing:
             return LinkSet(chosen, (), {AFAR: missing[AFAR]})
-        rows: list[LinkRow] = []
-        own: Controller | None = None
-        if OWN in sees:
-            row, own = designs.row(OWN, sees[OWN])
-            rows.append(row)
+        own = designs.designed(sees[OWN]) if OWN in sees else None
         todo = [(name, ms) for ms in LATENCIES_MS for name in SIGNALS if name != OWN and name in sees]
+        controllers: dict[tuple[str, int], Controller] = {}
         for k, (name, ms) in enumerate(todo):
-            progress((k + 1) / (len(todo) + 1))
+            progress((k + 1) / (len(todo) + 2))
             if self.clock.over("links"):
                 self.clock.leave(f"{self.name}: {ms} ms and more at {', '.join(chosen.actuators)}")
                 break
-            rows.append(designs.row(name, sees[name], ms, own)[0])
+            controllers[name, ms] = designs.designed(sees[name], ms, own)
+        rows: list[LinkRow] = []
+        if own is not None:
+            own = designs.best_own(sees[OWN], [own, *controllers.values()])
+            rows.append(designs.row(OWN, sees[OWN], 0, own))
+        rows += [designs.row(name, sees[name], ms, K, own) for (name, ms), K in controllers.items()]
         return LinkSet(chosen, tuple(rows), missing)
 
     def as_dict(self) -> dict[str, Any]:

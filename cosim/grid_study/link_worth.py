@@ -20,6 +20,7 @@ from interarea.design.controllers.controller import Controller
 from interarea.design.delay.signal_conditions import Condition
 from interarea.design.modes.loop_points import LoopSet
 from interarea.design.robust.operating_points import FamilyCertificate, inter_area_band, judge_family
+from interarea.design.robust.signal_worth import own_alone
 from interarea.design.robust.smoothed_objective import BandOffsets
 from interarea.fmu_build.write.cache import cached_json, code_hash, content_hash
 from interarea.models.case.case import Case
@@ -28,7 +29,7 @@ from ..designs.acceptance import FaultPlace
 from ..designs.family import FamilyPlant
 from ..designs.fault_runs import FaultRun, FaultRuns, longest_kept
 from ..designs.first_swing import FaultTable, after_clearing
-from ..designs.short_designs import short_controller
+from ..designs.short_designs import STATES, short_controller
 from ..designs.worth import common_rises
 from .proposal import LIMIT_PU
 from .weak_modes import WeakModes
@@ -36,6 +37,7 @@ from .weak_modes import WeakModes
 OWN, AREA, AFAR = SIGNALS = ("own machine", "own area", "other area")
 LATENCIES_MS = (0, 100, 200, 300, 500)
 CLEARED_MS = (0, 200)  #: latencies at which clearing times are searched
+OWN_STARTS = 8  #: first guesses of the own-signal rival, which everything else is compared with
 _LONGEST_CYCLES, _RESOLUTION_CYCLES, _FAULT_S, _STOP_S = 30.0, 0.15, 1.0, 8.0
 
 
@@ -133,17 +135,10 @@ class LinkDesigns:
             code_hash(__name__),
         )
 
-    def row(
-        self,
-        signals: str,
-        sees: Mapping[str, tuple[str, ...]],
-        latency_ms: int = 0,
-        own: Controller | None = None,
-    ) -> tuple[LinkRow, Controller]:
-        """Return what loops reach that see so much, and their controller.
-
-        signals : one of `SIGNALS`. sees : as of `signals_of_set`. own : the controller of the own signals.
-        """
+    def designed(
+        self, sees: Mapping[str, tuple[str, ...]], latency_ms: int = 0, own: Controller | None = None
+    ) -> Controller:
+        """Return a controller of loops that see so much (`signals_of_set`), searched from `own` too."""
         effort = self.weak.choices.effort
         known = None if own is None else own.as_dict()
         key = content_hash(*self._of, dict(sees), latency_ms, effort, known)
@@ -151,34 +146,75 @@ class LinkDesigns:
         def made() -> dict[str, Any]:
             return self._designed(sees, latency_ms, effort, own).as_dict()
 
-        controller = Controller.from_dict(cached_json(self.cache, "link-design", key, made))
+        return Controller.from_dict(cached_json(self.cache, "link-design", key, made))
+
+    def best_own(self, sees: Mapping[str, tuple[str, ...]], controllers: Sequence[Controller]) -> Controller:
+        """Return the best controller of own signals alone: those of `controllers`, other signals masked."""
+        signals, now = _speeds(sees), [Condition("N")]
+
+        def made() -> dict[str, Any]:
+            systems = [_of_signals(own_alone(one.system), signals) for one in controllers]
+            best = max(systems, key=lambda K: _reached(self._judge(K, now)))
+            return Controller("link", best, LIMIT_PU).as_dict()
+
+        key = content_hash(*self._of, dict(sees), [one.as_dict() for one in controllers])
+        return Controller.from_dict(cached_json(self.cache, "link-own", key, made))
+
+    def row(
+        self,
+        signals: str,
+        sees: Mapping[str, tuple[str, ...]],
+        latency_ms: int,
+        controller: Controller,
+        own: Controller | None = None,
+    ) -> LinkRow:
+        """Return what a controller reaches, or `own` where that is better with the other signals unused.
+
+        signals : one of `SIGNALS`.
+        """
+        own_system = None if own is None else _seeing(own.system, _speeds(sees))
         faults = [fault.model_dump(mode="json") for fault in self.faults]
-        judged_key = content_hash(*self._of, controller.as_dict(), dict(sees), latency_ms, faults)
-        row = cached_json(
-            self.cache, "link-row", judged_key, lambda: self._judged_row(controller.system, sees, latency_ms)
-        )
-        result = LinkRow(tuple(sees), signals, dict(sees), latency_ms, **row)
-        if self.faults and latency_ms in CLEARED_MS:
-            cycles = self._clearing_change(controller, sees, latency_ms)
-            result = replace(result, clearing_cycles=cycles)
-        return result, controller
+        known = None if own is None else own.as_dict()
+        key = content_hash(*self._of, controller.as_dict(), known, dict(sees), latency_ms, faults)
+
+        def made() -> dict[str, Any]:
+            tried = [controller.system, *([] if own_system is None else [own_system])]
+            conditions = _conditions(sees, latency_ms)
+            best = max(tried, key=lambda K: _reached(self._judge(K, conditions)))
+            row = self._judged_row(best, sees, latency_ms)
+            if self.faults and latency_ms in CLEARED_MS:
+                taken = Controller("link", best, LIMIT_PU)
+                row["clearing_cycles"] = self._clearing_change(taken, sees, latency_ms)
+            return row
+
+        row = cached_json(self.cache, "link-row", key, made)
+        return LinkRow(tuple(sees), signals, dict(sees), latency_ms, **row)
 
     def _designed(
         self, sees: Mapping[str, tuple[str, ...]], latency_ms: int, effort: float, own: Controller | None
     ) -> Controller:
-        """Return the best of the search, the own-signal controller and none at all."""
+        """Return the best of the search, the own-signal controller and none at all.
+
+        Without `own` it is the rival of all others, and its search has more first guesses.
+        """
         actuators, signals = tuple(sees), _speeds(sees)
         plants = {
             point: replace(plant, signals=signals, actuators=actuators)
             for point, plant in self._plants.items()
         }
         conditions = _conditions(sees, latency_ms)
-        tried = [_none(signals, actuators)]
-        if own is not None:
-            tried.append(_seeing(own.system, signals))
-        start = tried[-1] if own is not None else None
+        tried, start = [_none(signals, actuators)], None
+        if own is not None and own.system.nstates == STATES * len(sees):
+            start = _seeing(own.system, signals)
+            tried.append(start)
         searched = short_controller(
-            plants, dict(sees), conditions, offsets=self._offsets, effort=effort, start=start
+            plants,
+            dict(sees),
+            conditions,
+            offsets=self._offsets,
+            effort=effort,
+            start=start,
+            starts=OWN_STARTS if own is None else 2,
         )
         tried += [] if searched is None else [searched]
         best = max(tried, key=lambda K: _reached(self._judge(K, conditions)))
@@ -304,4 +340,11 @@ def _seeing(K: control.StateSpace, signals: Sequence[str]) -> control.StateSpace
     place = [list(signals).index(name) for name in K.input_labels]
     B, D = np.zeros((K.nstates, len(signals))), np.zeros((K.noutputs, len(signals)))
     B[:, place], D[:, place] = np.asarray(K.B), np.asarray(K.D)
+    return control.ss(K.A, B, K.C, D, inputs=list(signals), outputs=list(K.output_labels))
+
+
+def _of_signals(K: control.StateSpace, signals: Sequence[str]) -> control.StateSpace:
+    """Return `K` with these of its inputs alone."""
+    place = [K.input_labels.index(name) for name in signals]
+    B, D = np.asarray(K.B)[:, place], np.asarray(K.D)[:, place]
     return control.ss(K.A, B, K.C, D, inputs=list(signals), outputs=list(K.output_labels))

@@ -22,7 +22,9 @@ _FILES = (
 )
 Minutes = Annotated[
     float | None,
-    typer.Option("--minutes", metavar="MIN", min=0.1, help="of a grid: time (else 10); the rest is left out"),
+    typer.Option(
+        "--minutes", metavar="MIN", min=0.1, help="of a grid: time (else 10, worth 30); the rest is left out"
+    ),
 ]
 OutFolder = Annotated[
     Path, typer.Option("--out", metavar="DIR", help="folder for the results", show_default=False)

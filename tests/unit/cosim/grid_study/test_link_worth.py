@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import control
 import pyarrow.parquet as pq
 import pytest
 from command_line import invoke
@@ -17,10 +18,12 @@ from interarea.cosim.grid_study.link_sets import LinkSet, conclusion
 from interarea.cosim.grid_study.link_study import FILES, link_rows
 from interarea.cosim.grid_study.link_worth import AFAR, AREA, OWN, LinkDesigns, LinkRow
 from interarea.cosim.grid_study.weak_modes import WeakModes, modes_of_grid, weak_modes
+from interarea.design.controllers.bundled import shipped_controller
+from interarea.design.controllers.controller import Controller
 from interarea.design.delay.signal_conditions import Condition
 from interarea.design.modes.loop_points import LoopSet
 from interarea.design.robust.operating_points import inter_area_band
-from interarea.design.robust.signal_worth import signal_worth
+from interarea.design.robust.signal_worth import OWN_MASKED, signal_worth
 from interarea.design.robust.smoothed_objective import BandOffsets
 from interarea.fmu_build.write.cache import default_cache
 from interarea.models.case.case import load_case
@@ -64,24 +67,43 @@ def test_a_search_that_finds_nothing_costs_nothing(
     designs = LinkDesigns(weak, {"base": weak.case}, BandOffsets(), (), default_cache())
     designs.cache = tmp_path  # what is made here is no design
     sees, _ = link_worth.signals_of_set(weak, _set(weak, "G4_vs"))
-    none, own = designs.row(OWN, sees[OWN])
+    own = designs.designed(sees[OWN])
+    none = designs.row(OWN, sees[OWN], 0, own)
     # without control: the damping of the mode itself, which another routine computed
     assert none.there == pytest.approx(weak.weakest.damping_ratio, abs=1e-9)
     assert none.effort == 0.0 and none.lost is None
-    more, _ = designs.row(AFAR, sees[AFAR], 200, own)
+    nothing = designs.designed(sees[AFAR], 200, own)
+    more = designs.row(AFAR, sees[AFAR], 200, nothing, own)
     assert (more.there, more.late, more.lost) == pytest.approx((none.there,) * 3, abs=1e-9)
+
+    # an own-signal controller: what `signal_worth` says of `robust` with the remote signal masked
+    robust = shipped_controller("robust").system
+    place = robust.input_labels.index("G4_dw")
+    alone = control.ss(
+        robust.A, robust.B[:, [place]], robust.C, robust.D[:, [place]], inputs=["G4_dw"], outputs=["G4_vs"]
+    )
+    row = designs.row(AFAR, sees[AFAR], 200, nothing, Controller("own", alone))
+    plant = FamilyPlant.of(weak.case, sees[AFAR]["G4_vs"], ("G4_vs",), default_cache())
+    bands = {"base": inter_area_band(plant.modes)}
+    said = signal_worth({"base": plant.judged}, robust, [Condition("N")], bands_hz=bands).masked[-1]
+    assert (row.there, row.late, row.lost) == pytest.approx((said.inter_area,) * 3, abs=1e-9)
+    assert row.effort == pytest.approx(said.effort, rel=1e-9)
+    assert row.there > none.there + 0.1
 
 
 @pytest.mark.slow
 def test_rows_are_what_signal_worth_says_and_more_signals_are_never_worse(weak: WeakModes) -> None:
     designs = LinkDesigns(weak, {"base": weak.case}, BandOffsets(), (), default_cache())
     sees, _ = link_worth.signals_of_set(weak, _set(weak, "G4_vs"))
-    own, rival = designs.row(OWN, sees[OWN])
+    searched = designs.designed(sees[OWN])
+    controllers = {ms: designs.designed(sees[AFAR], ms, searched) for ms in (0, 500)}
+    rival = designs.best_own(sees[OWN], [searched, *controllers.values()])
+    own = designs.row(OWN, sees[OWN], 0, rival)
     assert own.least > weak.weakest.damping_ratio
     plant = FamilyPlant.of(weak.case, sees[AFAR]["G4_vs"], ("G4_vs",), default_cache())
-    for latency_ms in (0, 500):
-        row, controller = designs.row(AFAR, sees[AFAR], latency_ms, rival)
-        assert row.least >= own.least
+    for latency_ms, controller in controllers.items():
+        assert designs.row(AFAR, sees[AFAR], latency_ms, controller, rival).least >= own.least - 1e-9
+        row = designs.row(AFAR, sees[AFAR], latency_ms, controller)
         late = Condition("late", (), {"G2_dw": 1e-3 * latency_ms})
         conditions = [Condition("N"), *([late] if latency_ms else [])]
         said = signal_worth(
@@ -91,10 +113,12 @@ def test_rows_are_what_signal_worth_says_and_more_signals_are_never_worse(weak: 
             rival.system,
             bands_hz={"base": inter_area_band(plant.modes)},
         )
-        assert said.afar == ("G2_dw",) and said.rival is not None
-        assert said.whole.inter_area == pytest.approx(row.least, abs=1e-8)
+        assert said.rival is not None
+        assert said.whole.inter_area == pytest.approx(min(row.there, row.late), abs=1e-8)
         assert said.whole.effort == pytest.approx(row.effort, rel=1e-6)
-        assert said.rival.inter_area == pytest.approx(own.least, abs=1e-8)
+        assert said.rival.inter_area == pytest.approx(own.there, abs=1e-8)
+        # the rival is no worse than any of these controllers with the link masked
+        assert all(own.there >= m.inter_area - 1e-8 for m in said.masked if m.name == OWN_MASKED and m.stable)
 
 
 def _rows(values: Sequence[tuple[str, int, float, float | None]]) -> LinkSet:
