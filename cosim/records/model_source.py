@@ -41,7 +41,7 @@ EXPLAINED = 0.04
 #: what the next source leaves over what the first does: less, and the data do not tell them apart
 CLEAR = 2.0
 _LEAST_CHANNELS = 4
-_LEAST_PERIODS = 10.0
+_LEAST_PERIODS = 5.0
 _WORTH_TWO = 10.0  #: what one source leaves over what two do: two of hundreds explain noise better than one
 _SAME = 1e-6  #: 1 - squared cosine of two patterns that no record tells apart
 _EXACT = 1e-6  #: share that is left by rounding and the curvature of the plant alone

@@ -159,8 +159,8 @@ def test_forced_swings_are_those_of_the_resolvent(case: str) -> None:
 def test_records_without_enough_of_the_grid_or_time_are_refused() -> None:
     record = recorded("two-area-thesis", ("load", "load", "L7", 0.02))
     case, plant = load_case("two-area-thesis"), plant_of("two-area-thesis")
-    with pytest.raises(RecordError, match=r"10 s are 8 periods of 0\.8 Hz, wanted: 10 at least"):
-        source_by_model(record.between(0.0, 10.0), case, plant, frequency_hz=F)
+    with pytest.raises(RecordError, match=r"5 s are 4 periods of 0\.8 Hz, wanted: 5 at least"):
+        source_by_model(record.between(0.0, 5.0), case, plant, frequency_hz=F)
     few = record.only([c.name for c in record.channels][:3])
     with pytest.raises(RecordError, match=r"channels are of places that two-area-thesis has, wanted: 4"):
         source_by_model(few, case, plant, frequency_hz=F)
