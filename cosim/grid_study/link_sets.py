@@ -66,8 +66,16 @@ def _clause(one: LinkSet) -> str:
             f"with the own signal, {best:.3f} at most with the link)"
         )
     text = f"{where} the link buys {_bought(one, paying)}; inter-area {own.least:.3f} without it"
+    return text + _rest(one, paying, [row.latency_ms for row in rows if row.latency_ms not in paying])
+
+
+def _rest(one: LinkSet, paying: Sequence[int], others: Sequence[int]) -> str:
+    """Return where a nearer signal does as well as a link that pays, and where it does not pay."""
+    text = ""
     if as_good := [ms for ms in paying if _area_as_good(one, ms)]:
         text += f" (a signal of the own area damps as well at {_listed(as_good)} ms)"
+    if others:
+        text += f"; at {_listed(others)} ms a local stabilizer does as well: do not build it for these"
     return text
 
 

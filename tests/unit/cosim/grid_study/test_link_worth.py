@@ -135,7 +135,8 @@ def test_conclusions_follow_from_the_numbers() -> None:
     link = _rows([(OWN, 0, 0.20, 0.5), (AREA, 0, 0.29, 0.5), (AFAR, 0, 0.30, 0.9), (AFAR, 200, 0.21, None)])
     assert conclusion([link]) == (
         "at G4 the link buys 0.100 of inter-area damping at 0 ms; inter-area 0.200 without it "
-        "(a signal of the own area damps as well at 0 ms)"
+        "(a signal of the own area damps as well at 0 ms); at 200 ms a local stabilizer does as well: "
+        "do not build it for these"
     )
     faults = _rows([(OWN, 0, 0.30, -2.0), (AFAR, 0, 0.30, 1.0), (AFAR, 200, 0.30, 0.5)])
     assert conclusion([faults]) == (
