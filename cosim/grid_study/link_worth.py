@@ -207,18 +207,29 @@ class LinkDesigns:
         if own is not None and own.system.nstates == STATES * len(sees):
             start = _seeing(own.system, signals)
             tried.append(start)
-        searched = short_controller(
-            plants,
-            dict(sees),
-            conditions,
-            offsets=self._offsets,
-            effort=effort,
-            start=start,
-            starts=OWN_STARTS if own is None else 2,
-        )
-        tried += [] if searched is None else [searched]
+        for offsets in (self._offsets, self._steady()):
+            searched = short_controller(
+                plants,
+                dict(sees),
+                conditions,
+                offsets=offsets,
+                effort=effort,
+                start=start,
+                starts=OWN_STARTS if own is None else 2,
+            )
+            if searched is not None and np.isfinite(_reached(self._judge(searched, conditions))):
+                tried.append(searched)
+                break
         best = max(tried, key=lambda K: _reached(self._judge(K, conditions)))
         return Controller("link", best, LIMIT_PU)
+
+    def _steady(self) -> BandOffsets:
+        """Return offsets that leave no slow root unstable where little inter-area damping is reached."""
+        weakest = self.weak.weakest
+        slower = abs(weakest.eigenvalue.imag)
+        nodes = zip(self._offsets.omega, self._offsets.offset, strict=True)
+        asked = tuple(max(value, -weakest.damping_ratio) if at < slower else value for at, value in nodes)
+        return replace(self._offsets, offset=asked)
 
     def _judge(self, K: control.StateSpace, conditions: Sequence[Condition]) -> FamilyCertificate:
         bands = {point: inter_area_band(plant.modes) for point, plant in self._plants.items()}

@@ -121,6 +121,14 @@ def test_rows_are_what_signal_worth_says_and_more_signals_are_never_worse(weak: 
         assert all(own.there >= m.inter_area - 1e-8 for m in said.masked if m.name == OWN_MASKED and m.stable)
 
 
+def test_a_second_search_leaves_no_slow_root_unstable(weak: WeakModes) -> None:
+    loose = BandOffsets((0.0, 0.5, 4.5, 30.0), (-0.3, -0.3, 0.0, -0.4))
+    steady = LinkDesigns(weak, {"base": weak.case}, loose, (), default_cache())._steady()
+    # what reaches the damping that the mode has anyway asks no less than stability of slower ones
+    least = weak.weakest.damping_ratio
+    assert steady.offset == (-least, -least, 0.0, -0.4)
+
+
 def _rows(values: Sequence[tuple[str, int, float, float | None]]) -> LinkSet:
     rows = tuple(
         LinkRow(("G4_vs",), name, {}, ms, least, least, None, True, 0.1, 0.2, None, cycles)
