@@ -22,6 +22,7 @@ from interarea.fmu_build.write.package import build_fmu
 SCHEMA = Path(fmpy.__file__).parent / "schema" / "fmi2" / "fmi2ModelDescription.xsd"
 
 
+@pytest.mark.slow
 def test_fmpy_finds_nothing(fmu: Path) -> None:
     assert validate_fmu(str(fmu)) == []
 

@@ -42,6 +42,7 @@ def faulty(fault: int, folder: Path) -> Path:
     return build_fmu(block, folder)
 
 
+@pytest.mark.slow
 def test_the_sound_block_is_clean(tmp_path: Path) -> None:
     report = check_file(faulty(0, tmp_path))
     assert report.clean, [f.line() for f in report.findings]

@@ -58,6 +58,7 @@ SEEDS: dict[str, tuple[Edit, str, str]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", SEEDS)
 def test_seed_is_found(seed: str, decay: Path, tmp_path: Path) -> None:
     edit, rule, words = SEEDS[seed]
@@ -66,6 +67,7 @@ def test_seed_is_found(seed: str, decay: Path, tmp_path: Path) -> None:
     assert reported and any(words in f.message for f in reported), [f.line() for f in report.findings]
 
 
+@pytest.mark.slow
 def test_a_state_that_shrinks_by_a_thousandth_a_step(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """fmi2DoStep multiplies the state by 0.999: no longer the equations of model exchange."""
     original = package.source_files

@@ -86,6 +86,7 @@ def seeded(built: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) -> 
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("defect", DEFECTS)
 def test_defect_is_found_with_rule_and_fix(defect: str, seeded: dict[str, Path]) -> None:
     _, rule, _ = DEFECTS[defect]
@@ -96,6 +97,7 @@ def test_defect_is_found_with_rule_and_fix(defect: str, seeded: dict[str, Path])
     assert all(f.where and f.message and f.fix and "\n" not in f.line() for f in report.findings)
 
 
+@pytest.mark.slow
 def test_fmpy_finds_ten_of_the_thirteen(seeded: dict[str, Path]) -> None:
     result = {defect for defect, file in seeded.items() if validate_fmu(str(file))}
     assert result == {defect for defect, (_, _, seen) in DEFECTS.items() if seen}
@@ -107,6 +109,7 @@ def test_backslash_in_an_entry(decay: Path, tmp_path: Path) -> None:
     assert "FMI2 2.1 archive paths" in {f.rule for f in report.findings}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("edit", "rule"),
     [

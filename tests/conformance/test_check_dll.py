@@ -71,6 +71,7 @@ def test_a_defect_is_found(defect: str, tmp_path: Path, cache: Path) -> None:
     assert "\n" not in reported[0].line()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("defect", ["NONE", "NO_PARAMETERS"])
 def test_a_good_one_is_clean(defect: str, tmp_path: Path, cache: Path) -> None:
     assert check_file(lag(defect, tmp_path, cache)).verdict == "clean"
@@ -102,6 +103,7 @@ def test_files_that_are_no_dll(tmp_path: Path) -> None:
         check_file(tmp_path / "missing.dll")
 
 
+@pytest.mark.slow
 def test_the_package_own_is_clean(tmp_path: Path, cache: Path) -> None:
     file = build_dll(channel_block(capacity=64), tmp_path, platform="linux64", cache=cache)
     assert check_file(file).verdict == "clean"

@@ -71,6 +71,7 @@ def test_a_bomb_that_lies_about_its_size(tmp_path: Path, monkeypatch: pytest.Mon
     )
 
 
+@pytest.mark.slow
 def test_too_many_entries(tmp_path: Path) -> None:
     with zipfile.ZipFile(tmp_path / "x.fmu", "w") as archive:
         for k in range(check_archive.MOST_ENTRIES + 1):

@@ -129,12 +129,14 @@ DEFECTS: dict[str, tuple[Edit, str, str]] = {
 }
 
 
+@pytest.mark.slow
 def test_what_the_program_writes_is_clean(loop: Path) -> None:
     report = check_file(loop, run=False)
     assert report.clean, [f.line() for f in report.findings]
     assert report.facts["components"] == len(report.facts["fmus"]) == 4
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("_without_validators")
 def test_the_same_structure_as_version_1_1(loop: Path, tmp_path: Path) -> None:
     newer = mutated(loop, tmp_path / "x.ssp", _sub('version="1.0" name', 'version="1.1" name'))

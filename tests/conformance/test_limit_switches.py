@@ -32,6 +32,7 @@ def speeds(plant: PlantLanes, row: dict[str, float | int], step_s: float) -> np.
     return np.array([run.of(f"G{k}_dw")[:, 0] for k in range(1, 5)])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("exciter", LIMITED_EXCITERS)
 def test_errors_at_limits_fall_with_the_fourth_power_of_the_step(
     exciter: str, tmp_path: Path, cache: Path
@@ -112,6 +113,7 @@ def against_co_simulation(
     return max(np.abs(solved[n][last] - steps[n]).max() for n in names), calls
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("exciter", "within"), [("static", 5e-9), ("dc1", 2e-8), ("st1a", 1e-6)])
 def test_an_importer_of_model_exchange_locates_the_switches(
     exciter: str, within: float, tmp_path: Path, cache: Path
@@ -169,6 +171,7 @@ def test_limiters_of_model_exchange_switch_in_event_mode_once_indicators_are_ask
             assert after[efd] == pytest.approx(-0.5 / dt, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_a_grid_out_of_step_is_told_once_that_not_every_switch_is_found(cache: Path) -> None:
     """Its limiters switch hundreds of times a second: that must not cost ten times as many evaluations."""
     case = load_case("nets-nyps")

@@ -241,6 +241,7 @@ def test_damaged_resources(
     assert text in run.log[-1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["with space", "größe ü", "per%cent", "a#b"])
 def test_folder_names_that_need_encoding(decay: Path, tmp_path: Path, name: str) -> None:
     folder = tmp_path / name

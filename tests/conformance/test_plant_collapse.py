@@ -50,6 +50,7 @@ def test_the_step_is_discarded_with_the_bus_and_the_last_good_time(case, start, 
     plant.close()
 
 
+@pytest.mark.slow
 def test_constant_power_finds_its_solution_through_faults_at_every_bus(cache):
     """The network of bounded injections always has a solution; after long faults it is one of low voltage."""
     change = {

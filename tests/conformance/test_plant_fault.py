@@ -6,6 +6,7 @@ from pathlib import Path
 
 import fmpy
 import numpy as np
+import pytest
 
 from interarea.fmu_build.write.package import build_fmu
 from interarea.models.blocks.plant import event_parameters, plant_block
@@ -15,6 +16,7 @@ from interarea.models.case.events import events_of
 OUTPUTS = ["G1_dw", "G2_dw", "G4_dw", "G1_delta", "G1_pe", "G1_vt", "tie_p"]
 
 
+@pytest.mark.slow
 def test_both_kinds_agree_through_a_fault_and_a_trip(tmp_path: Path) -> None:
     case = load_case("two-area-thesis")
     fmu = build_fmu(plant_block(case), tmp_path / "plant.fmu")

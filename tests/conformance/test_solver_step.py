@@ -51,6 +51,7 @@ def with_step(fmu: Path, step_s: float) -> np.ndarray:
         return run.start(pulse() | {"solver.step": step_s}).run(TIMES, "G1_dw")
 
 
+@pytest.mark.slow
 def test_errors_fall_with_the_fourth_power_of_the_step(fmu: Path) -> None:
     exact = with_step(fmu, 0.0005)
     errors = [np.abs(with_step(fmu, h) - exact).max() for h in STEPS_S]
@@ -59,6 +60,7 @@ def test_errors_fall_with_the_fourth_power_of_the_step(fmu: Path) -> None:
         assert 11.0 < coarse / fine < 25.0, errors  # 16 in the limit of short steps
 
 
+@pytest.mark.slow
 def test_a_step_set_is_a_step_built_in(fmu: Path, cache: Path, tmp_path: Path) -> None:
     other = build_fmu(
         plant_block(load_case(CASE).with_changes({"solver_step_s": 0.004})),
@@ -164,6 +166,7 @@ def test_model_exchange_leaves_steps_to_its_importer(fmu: Path) -> None:
     assert np.sum(rates[0] != rates[1]) == 1  # the parameter itself
 
 
+@pytest.mark.slow
 def test_plants_side_by_side_take_each_its_own_step(fmu: Path, cache: Path) -> None:
     plants = PlantLanes(load_case(CASE), cache)
     rows = [pulse() | {"solver.step": h} for h in STEPS_S] + [pulse()]
@@ -195,6 +198,7 @@ def test_the_default_is_a_millisecond_or_the_shortest_time_constant() -> None:
         plant_block(case).__class__(**{**vars(plant_block(case)), "internal_step_s": 0.002})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "exciter", [{}, {"TA": 0.0002}, {"TR": 0.0003}, {"TA": 0.0005, "TR": 0.0005, "KA": 400.0}]
 )
@@ -231,6 +235,7 @@ def a_loop(case: Case) -> Block:
     return loop_block("loop", members, wires, step_s=0.02, stop_s=2.0)
 
 
+@pytest.mark.slow
 def test_a_loop_takes_the_step_of_its_plant(cache: Path, tmp_path: Path) -> None:
     loop = a_loop(load_case(CASE))
     assert loop.longest_step_s == 0.001

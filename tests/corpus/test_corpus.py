@@ -75,6 +75,7 @@ def test_size() -> None:
     assert len({e.name for e in ENTRIES}) == len(ENTRIES)
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(120)
 @pytest.mark.parametrize("entry", ENTRIES, ids=lambda e: e.name)
 def test_one_clear_line(entry: Entry, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,6 +13,7 @@ import interarea as ia
 TUTORIAL = Path(__file__).resolve().parents[2] / "docs" / "tutorial" / "tutorial.md"
 
 
+@pytest.mark.slow
 def test_the_first_scenario_runs_as_written() -> None:
     text = TUTORIAL.read_text(encoding="utf-8")
     section = text[text.index("## A scenario of your own") :]

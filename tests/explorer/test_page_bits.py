@@ -101,6 +101,7 @@ def assert_same_bits(node: Any, states: list[dict[str, Any]], cache: Path, folde
         assert same, (toml, dict(zip(result["columns"], worst, strict=True)))
 
 
+@pytest.mark.slow
 def test_presets_and_their_saved_scenarios_have_the_bits_of_the_fmu(
     node: Any, data: dict[str, Any], cache: Path, tmp_path: Path
 ) -> None:
@@ -116,6 +117,7 @@ def test_random_settings_have_the_bits_of_the_fmu(
     assert_same_bits(node, [p["state"] for p in data["presets"]] + settings(data, 50), cache, tmp_path)
 
 
+@pytest.mark.slow
 def test_rows_four_times_as_far_apart_are_the_same(node: Any, data: dict[str, Any], tmp_path: Path) -> None:
     state = data["presets"][3]["state"]
     files = [tmp_path / "every.bin", tmp_path / "other.bin"]
@@ -127,6 +129,7 @@ def test_rows_four_times_as_far_apart_are_the_same(node: Any, data: dict[str, An
     assert np.array_equal(rows[0][::4], rows[1])
 
 
+@pytest.mark.slow
 def test_drawn_step_shows_what_the_exact_one_shows(node: Any, data: dict[str, Any]) -> None:
     """While a slider moves the solver's step is longer: the verdict is the same, the error below .01 mHz and,
     where the field is at its limits and the grid about to lose synchronism, a fifth of a pixel."""
@@ -154,6 +157,7 @@ def test_no_drawn_run_loses_synchronism_falsely(node: Any, data: dict[str, Any])
     assert [run["kind"] for run in node([{"judge": state, "coarse": True} for state in states])] == exact
 
 
+@pytest.mark.slow
 def test_a_drawn_run_ends_when_synchronism_is_lost(node: Any, data: dict[str, Any], tmp_path: Path) -> None:
     """A second after it at the earliest, three at the latest, with the rows of the whole run."""
     fault = data["presets"][5]["state"]
@@ -175,6 +179,7 @@ def test_a_drawn_run_ends_when_synchronism_is_lost(node: Any, data: dict[str, An
     assert short["rows"] == 2001
 
 
+@pytest.mark.slow
 def test_a_longer_step_of_the_plant_lengthens_the_controllers(node: Any, data: dict[str, Any]) -> None:
     """FTC's own step of 1.06 ms would keep every drawn run as slow as the exact one."""
     state = data["presets"][4]["state"]
@@ -187,6 +192,7 @@ def test_the_module_imports_nothing(node: Any) -> None:
     assert node([{"imports": True}]) == [[]]
 
 
+@pytest.mark.slow
 def test_hundred_runs_leave_the_memory_as_it_was(node: Any, data: dict[str, Any]) -> None:
     runs = [{"run": p["state"], "all": False, "every": 4, "coarse": True} for p in data["presets"]]
     sizes = [
@@ -195,6 +201,7 @@ def test_hundred_runs_leave_the_memory_as_it_was(node: Any, data: dict[str, Any]
     assert sizes[0] == sizes[1] < 16e6
 
 
+@pytest.mark.slow
 def test_interarea_run_repeats_the_page(
     node: Any, data: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

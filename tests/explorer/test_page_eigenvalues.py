@@ -24,6 +24,7 @@ STATES: list[dict[str, Any]] = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("state", STATES, ids=lambda s: f"{s['k']}-{s['remote.latency']}")
 def test_every_root_in_sight_is_that_of_the_delay_equation(
     state: dict[str, Any], node: Any, data: dict[str, Any], cache: Path

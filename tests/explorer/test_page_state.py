@@ -66,6 +66,7 @@ def test_link_and_back(node: Any, data: dict[str, Any]) -> None:
     assert node([{"address": {}}, {"address": dict(data["start"])}]) == ["", ""]
 
 
+@pytest.mark.slow
 def test_links_of_a_report_open_the_presets(node: Any, data: dict[str, Any]) -> None:
     for preset in data["presets"]:
         opened = node([{"link": link_of(preset["state"])}])[0]
@@ -116,6 +117,7 @@ def apply_delta(reference: bytes, changes: bytes) -> bytes:
     return bytes(out)
 
 
+@pytest.mark.slow
 def test_records_are_what_their_differences_make(cache: Path) -> None:
     subject = subject_of("two-area-thesis", cache)
     known, parts = page_data(subject)
@@ -190,6 +192,7 @@ def test_what_a_container_cannot_hold_is_named(tmp_path: Path, cache: Path) -> N
         subject_of("nothing-of-that-name", cache)
 
 
+@pytest.mark.slow
 def test_page_of_a_scenario_starts_as_the_scenario_says(cache: Path) -> None:
     subject = subject_of("lost-signal", cache)
     known, _ = page_data(subject)

@@ -67,6 +67,7 @@ def outcome_without_memory(n: int, act: Callable[[], object]) -> str:
     return {0: "clean", 1: "reported", 3: "crashed"}[code]
 
 
+@pytest.mark.slow
 @LONG
 @SHARED
 def test_a_run(share: int, tmp_path: Path, cache: Path) -> None:
@@ -113,6 +114,7 @@ def test_a_run_with_a_case(share: int, tmp_path: Path, cache: Path) -> None:
     assert n > 1_000_000 and seen["reported"] > 20 and seen["crashed"] < seen["reported"] // 4
 
 
+@pytest.mark.slow
 @LONG
 @SHARED
 def test_the_folder_of_a_sweep(share: int, tmp_path: Path) -> None:

@@ -43,6 +43,7 @@ def safe_rows(folder: Path) -> set[int]:
     return set()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_before_every_fsync_of_a_sweep(seed: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Rows that `append` has taken are there afterwards, those under way whole or not; then all are, once."""

@@ -75,6 +75,7 @@ def test_failed_runs_go_again(tmp_path: Path) -> None:
     pd.testing.assert_frame_equal(after.loc[same], before.loc[same], check_dtype=False)
 
 
+@pytest.mark.slow
 def test_a_fault_while_failed_runs_are_taken_away_costs_nothing(tmp_path: Path) -> None:
     count = 0
     for n in range(1, 200):

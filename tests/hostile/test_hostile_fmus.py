@@ -119,6 +119,7 @@ def test_an_entry_that_is_no_file(kind: int, entries: Entries, tmp_path: Path, s
     assert "the entry is a" in opened(path, scratch)
 
 
+@pytest.mark.slow
 def test_bombs(entries: Entries, tmp_path: Path, scratch: Path) -> None:
     path = packed(tmp_path / "x.fmu", entries | {"resources/zeros": bytes(64 << 20)})
     assert "more than 500 times" in opened(path, scratch)
@@ -185,6 +186,7 @@ def described(text: str) -> Iterator[tuple[str, str]]:
     yield text.replace("modelName=", "title="), ""
 
 
+@pytest.mark.slow
 def test_descriptions(entries: Entries, tmp_path: Path, scratch: Path) -> None:
     text, count = entries[XML].decode(), 0
     for changed, says in described(text):

@@ -79,6 +79,7 @@ def test_size() -> None:
     assert Counter(one.file for one in FILES).keys() == {"raw", "dyr", "m"}
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("error")
 def test_nothing_is_lost_in_silence(tmp_path: Path) -> None:
     result = {one: judged(tmp_path, one) for one in FILES}

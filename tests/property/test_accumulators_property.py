@@ -50,6 +50,7 @@ def settled_at_once(signal: Array, start_s: float, band: float) -> float | None:
     return float(T[k] + (T[k + 1] - T[k]) * (x[k] - limit) / (x[k] - x[k + 1]) - start_s)
 
 
+@pytest.mark.slow
 @given(signals(), cuts, st.floats(0.0, 9.0), st.sampled_from([0.02, 0.3, 0.9]))
 def test_settling(signal: Array, at: list[int], start_s: float, band: float) -> None:
     settling = Settling(start_s, band)
@@ -63,6 +64,7 @@ def test_settling(signal: Array, at: list[int], start_s: float, band: float) -> 
     assert settling.peak == np.max(np.abs(signal))
 
 
+@pytest.mark.slow
 @given(signals(), cuts, st.floats(0.0, 9.0))
 def test_squares(signal: Array, at: list[int], start_s: float) -> None:
     squares = Squares(start_s)
@@ -72,6 +74,7 @@ def test_squares(signal: Array, at: list[int], start_s: float) -> None:
     assert squares.total == pytest.approx(np.trapezoid(signal[after] ** 2, T[after]), rel=1e-12)
 
 
+@pytest.mark.slow
 @given(signals(), signals(), cuts, st.floats(0.0, 5.0), st.floats(5.0, 12.0), st.floats(0.003, 1.0))
 def test_samples(one: Array, two: Array, at: list[int], start_s: float, stop_s: float, step_s: float) -> None:
     samples = Samples(2, start_s, stop_s, step_s)
@@ -82,6 +85,7 @@ def test_samples(one: Array, two: Array, at: list[int], start_s: float, stop_s: 
     assert np.array_equal(samples.values[:, 1], np.interp(samples.time_s, T, two))
 
 
+@pytest.mark.slow
 @given(st.integers(1, 40), st.integers(0, 2**32))
 def test_curves_of_a_long_run_keep_what_can_be_seen(count: int, seed: int) -> None:
     """Ends, largest and least of every stretch, whatever the parts; integers stay integers."""

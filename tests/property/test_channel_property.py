@@ -68,6 +68,7 @@ def stepped(run: Runner, path: dict[str, Any], cuts: list[list[int]]) -> list[di
 cuts = st.lists(st.lists(st.integers(1, GRID_MS - 1), max_size=4), min_size=8, max_size=8)
 
 
+@pytest.mark.slow
 @settings(max_examples=25)
 @given(channels(), cuts, cuts)
 def test_packets_are_conserved_and_the_same_however_it_is_stepped(

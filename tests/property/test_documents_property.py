@@ -141,6 +141,7 @@ def scenarios(draw: st.DrawFn) -> dict[str, Any]:
     return table
 
 
+@pytest.mark.slow
 @settings(max_examples=50)
 @given(scenarios())
 def test_a_scenario_written_down_is_the_same_scenario(table: dict[str, Any]) -> None:
@@ -227,6 +228,7 @@ def check_lines(error: Exception) -> None:
     assert error.args and all(a and "\n" not in a and len(a) < 1000 for a in error.args)
 
 
+@pytest.mark.slow
 @settings(max_examples=400)
 @given(st.data())
 def test_a_spoilt_scenario_loads_or_is_refused_in_one_line(data: st.DataObject) -> None:
@@ -237,6 +239,7 @@ def test_a_spoilt_scenario_loads_or_is_refused_in_one_line(data: st.DataObject) 
         check_lines(error)
 
 
+@pytest.mark.slow
 @settings(max_examples=150)
 @given(st.data())
 def test_a_spoilt_sweep_is_planned_or_refused_in_one_line(cache: Path, data: st.DataObject) -> None:
@@ -254,6 +257,7 @@ def small_case() -> dict[str, Any]:
     return dict(json.loads(json.dumps(load_case("two-area-thesis").document())))
 
 
+@pytest.mark.slow
 @settings(max_examples=200)
 @given(st.data())
 def test_a_spoilt_case_loads_or_is_refused_in_one_line(data: st.DataObject) -> None:
@@ -263,6 +267,7 @@ def test_a_spoilt_case_loads_or_is_refused_in_one_line(data: st.DataObject) -> N
         check_lines(error)
 
 
+@pytest.mark.slow
 @settings(max_examples=25)
 @given(
     words, words, st.floats(0.9, 1.05), st.floats(2.0, 9.0), st.floats(0.0, 2.0),

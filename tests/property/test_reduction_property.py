@@ -2,6 +2,7 @@
 
 import control
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -26,6 +27,7 @@ def systems(draw: st.DrawFn) -> control.StateSpace:
     )
 
 
+@pytest.mark.slow
 @settings(max_examples=40, deadline=None)
 @given(systems(), st.data())
 def test_errors_lie_between_sigma_and_bound(system: control.StateSpace, data: st.DataObject) -> None:
@@ -44,6 +46,7 @@ def test_errors_lie_between_sigma_and_bound(system: control.StateSpace, data: st
     assert abs(hankel.hankel_error - sigma) <= 1e-6 * sigma + slack * 1e-2
 
 
+@pytest.mark.slow
 @settings(max_examples=40, deadline=None)
 @given(systems())
 def test_full_order_changes_nothing(system: control.StateSpace) -> None:
@@ -53,6 +56,7 @@ def test_full_order_changes_nothing(system: control.StateSpace) -> None:
     )
 
 
+@pytest.mark.slow
 @settings(max_examples=40, deadline=None)
 @given(systems())
 def test_no_gain_exceeds_the_norm(system: control.StateSpace) -> None:

@@ -66,6 +66,7 @@ def test_modes_come_back_by_name_whatever_their_size(two_area: Case, swing: Any,
     assert fit.error < 1e-2
 
 
+@pytest.mark.slow
 @settings(max_examples=25)
 @given(swings(), st.permutations(range(4)), st.lists(st.floats(0.01, 100.0), min_size=4, max_size=4))
 def test_the_poles_do_not_depend_on_order_and_units_of_the_signals(

@@ -62,6 +62,7 @@ batches = st.lists(st.lists(st.integers(0, RUNS - 1), min_size=1, max_size=5), m
 sessions = st.lists(st.tuples(batches, st.integers(1, 60), st.floats(0.0, 1.0)), max_size=4)
 
 
+@pytest.mark.slow
 @settings(max_examples=25)
 @given(sessions)
 def test_killed_between_any_two_file_operations_nothing_is_lost_and_nothing_twice(
@@ -80,6 +81,7 @@ def test_killed_between_any_two_file_operations_nothing_is_lost_and_nothing_twic
         finished(folder)
 
 
+@pytest.mark.slow
 @settings(max_examples=30)
 @given(st.lists(st.permutations(range(RUNS)).map(lambda p: p[:5]), min_size=2, max_size=4), st.data())
 def test_a_spoilt_part_is_found_and_its_runs_are_done_again(

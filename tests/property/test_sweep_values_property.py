@@ -93,6 +93,7 @@ def sweeps(draw: st.DrawFn) -> dict[str, Any]:
     return document
 
 
+@pytest.mark.slow
 @settings(max_examples=60)
 @given(sweeps())
 def test_every_cell_of_the_grid_is_run_once_for_each_sample(document: dict[str, Any]) -> None:
@@ -111,6 +112,7 @@ def test_every_cell_of_the_grid_is_run_once_for_each_sample(document: dict[str, 
             sweep.values(run)
 
 
+@pytest.mark.slow
 @settings(max_examples=60)
 @given(sweeps(), st.data())
 def test_a_run_knows_its_values_without_the_others_and_on_any_machine(
@@ -123,6 +125,7 @@ def test_a_run_knows_its_values_without_the_others_and_on_any_machine(
     assert there.document() == sweep.document()
 
 
+@pytest.mark.slow
 @settings(max_examples=60)
 @given(sweeps(), st.data())
 def test_draws_of_a_parameter_do_not_depend_on_the_others(
@@ -141,6 +144,7 @@ def test_draws_of_a_parameter_do_not_depend_on_the_others(
     assert {together.values(k)[name] for k in range(min(together.size, 200))} <= set(values)
 
 
+@pytest.mark.slow
 @settings(max_examples=100)
 @given(intervals(), st.integers(1, 60), st.integers(0, 2**63 - 1))
 def test_a_latin_hypercube_has_one_value_in_each_stratum_and_stays_within_its_limits(

@@ -61,6 +61,7 @@ def swing_damping(plant: control.StateSpace, K: Controller, lost: tuple[str, ...
     return result
 
 
+@pytest.mark.slow
 def test_wide_area_controller_of_order_four_reaches_the_printed_damping(plant: control.StateSpace) -> None:
     K = design_wdc(plant, omega_b=OMEGA_B)
     assert K.order == 4
@@ -70,11 +71,13 @@ def test_wide_area_controller_of_order_four_reaches_the_printed_damping(plant: c
         assert reached[name] >= open_loop - 0.02
 
 
+@pytest.mark.slow
 def test_mixed_sensitivity_below_one_is_not_reached(plant: control.StateSpace) -> None:
     """Printed as the goal (eq. 3.3); G(0) = 0 forbids it."""
     assert design_wdc(plant, omega_b=OMEGA_B).design["mixed_sensitivity"] >= 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lost", [(), ("G2_dw",)], ids=["normal", "remote_lost"])
 def test_fault_tolerant_controller_of_order_five(
     plant: control.StateSpace, ftc: Controller, lost: tuple[str, ...]
@@ -86,6 +89,7 @@ def test_fault_tolerant_controller_of_order_five(
         assert reached[name] >= open_loop - 5e-5  # the digits of the table above
 
 
+@pytest.mark.slow
 def test_conventional_control_of_equal_damping_loses_more_with_the_signal(
     plant: control.StateSpace, ftc: Controller
 ) -> None:
@@ -98,6 +102,7 @@ def test_conventional_control_of_equal_damping_loses_more_with_the_signal(
     assert cc.design["effort"]["normal"] < ftc.design["effort"]["normal"]
 
 
+@pytest.mark.slow
 def test_equal_targets_make_a_local_stabilizer(plant: control.StateSpace) -> None:
     """The gain on the remote signal at the inter-area frequency vanishes beside the local one's."""
     spec = FtcSpec(damping_ratio_of={"normal": 0.3, "remote_lost": 0.3}, radius=300.0)
@@ -105,6 +110,7 @@ def test_equal_targets_make_a_local_stabilizer(plant: control.StateSpace) -> Non
     assert np.abs(K[0, 0]) < 1e-3 * np.abs(K[0, 1])
 
 
+@pytest.mark.slow
 def test_designs_are_deterministic(plant: control.StateSpace) -> None:
     one, two = (design_wdc(plant, omega_b=OMEGA_B) for _ in range(2))
     assert np.array_equal(one.system.A, two.system.A)

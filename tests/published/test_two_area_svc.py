@@ -49,6 +49,7 @@ def test_the_independent_program_has_the_eigenvalues_of_pstess():
     assert farthest(values, pstess()) < 2.5e-4  # the perturbation of PSTess: 2.3e-4
 
 
+@pytest.mark.slow
 def test_the_plant_has_the_eigenvalues_of_the_independent_program(plant):
     model = TwoAreaSvc(speed_terms=False)
     A, B, _, _ = plant.jacobians()

@@ -27,6 +27,7 @@ def script() -> ModuleType:
     return result
 
 
+@pytest.mark.slow
 def test_two_solvers_of_the_delay_equation_agree() -> None:
     """Collocation against the method of steps with Radau, on the first 1.6 s."""
     doc = script()

@@ -48,6 +48,7 @@ def test_ten_lines() -> None:
     assert "inter-area damping 0.08" in _output(str(EXAMPLES / "ten_lines.py"))
 
 
+@pytest.mark.slow
 def test_a_system_in_python() -> None:
     text = _output(str(EXAMPLES / "any_loop.py"))
     assert "plant.G2_dw -> remote.u" in text
@@ -55,12 +56,14 @@ def test_a_system_in_python() -> None:
     assert "units: pu, rad" in text
 
 
+@pytest.mark.slow
 def test_a_new_controller_moves_the_damping() -> None:
     match = re.search(r"damping ([\d.]+) -> ([\d.]+)", _output(str(EXAMPLES / "own_controller.py")))
     assert match is not None
     assert float(match[2]) > float(match[1]) + 0.02
 
 
+@pytest.mark.slow
 def test_the_pytest_file() -> None:
     assert "1 passed" in _output(
         "-m", "pytest", "-q", "-p", "no:cacheprovider", str(EXAMPLES / "test_my_scenario.py")

@@ -96,6 +96,7 @@ def test_case_and_scenario_state_their_own(cache: Path) -> None:
         case.with_changes({"swing": ["G1", "G7"]})
 
 
+@pytest.mark.slow
 def test_every_result_names_it_and_its_numbers_have_units(cache: Path, tmp_path: Path) -> None:
     table = {"case": "two-area-thesis", "swing": ["G1", "G3"], "stop_s": 3.0, "event": [PULSE]}
     run = run_scenario(table, cache=cache)
@@ -128,6 +129,7 @@ def test_clearing_after_eight_cycles_is_rounded_and_said(cache: Path) -> None:
         run_scenario(table | {"event": [same]}, cache=cache)
 
 
+@pytest.mark.slow
 def test_thyristor_case_has_no_limits_that_act(cache: Path) -> None:
     """Example 12.6 states none: with +-2000 a fault on bus 8 gives the same swing."""
     fault = {"kind": "bus_fault", "bus": 8, "start_s": 0.5, "end_s": 0.6, "x_pu": 1e-3}

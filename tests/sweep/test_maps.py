@@ -70,6 +70,7 @@ class _Loads(html.parser.HTMLParser):
                 self.loaded.append(f"{tag} {key}={value[:60]}")
 
 
+@pytest.mark.slow
 def test_the_page_is_whole_and_loads_nothing(finished: Any, cache: Path, tmp_path: Path) -> None:
     page = write_maps(finished[0], tmp_path / "maps.html", cache=cache, worst=2)
     text = page.read_text(encoding="utf-8")
@@ -89,6 +90,7 @@ def test_the_page_is_whole_and_loads_nothing(finished: Any, cache: Path, tmp_pat
     assert sorted(p.name for p in tmp_path.iterdir()) == ["maps-explorer.html", "maps.html"]
 
 
+@pytest.mark.slow
 def test_a_click_on_a_cell_opens_its_run(finished: Any, cache: Path, tmp_path: Path) -> None:
     """What the explorer makes of a cell's address is the scenario of the run that the cell names."""
     if shutil.which("node") is None:

@@ -80,6 +80,7 @@ def alone(bus: int, clearing_s: float, cache: Path) -> float:
     return float(np.degrees(np.ptp(np.array(angles), axis=0).max()))
 
 
+@pytest.mark.slow
 def test_a_screening_is_its_single_runs(screening: tuple[list[Screened], Path], cache: Path) -> None:
     assert sorted(one.place for one in screening[0]) == ["5", "8"]
     for one in screening[0]:
@@ -169,6 +170,7 @@ def test_trips_have_no_clearing_times(tmp_path: Path) -> None:
         module.run_screening(Screening(CASE, kind="trip"), tmp_path, clearing=True)
 
 
+@pytest.mark.slow
 def test_a_place_opens_its_disturbance_in_the_explorer(cache: Path, tmp_path: Path) -> None:
     result = [
         Screened("8", outage, "none", "kept", 30.0, 0.9, "bus8", 59.0, 61.0, "") for outage in ("", "8-9 a")

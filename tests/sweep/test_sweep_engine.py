@@ -22,6 +22,7 @@ from interarea.cosim.sweep.runner import Runner
 from interarea.cosim.sweep.spec import load_sweep
 
 
+@pytest.mark.slow
 def test_a_row_has_the_numbers_of_a_single_run(document: Any, finished: Any, cache: Path) -> None:
     sweep = load_sweep(document())
     _, rows = finished
@@ -51,6 +52,7 @@ def test_every_run_is_there_once_and_says_what_it_was(finished: Any, document: A
     assert (summary["runs"], summary["ok"], summary["failed"]) == (12, 12, 0)
 
 
+@pytest.mark.slow
 def test_the_order_of_runs_and_what_ran_before_do_not_matter(
     document: Any, cache: Path, tmp_path: Path
 ) -> None:
@@ -120,6 +122,7 @@ def _rows(table: dict[str, Any], cache: Path, scratch: Path) -> list[dict[str, A
         return [runner.outcome(k).row for k in range(plan.sweep.size)]
 
 
+@pytest.mark.slow
 def test_a_failing_run_is_a_row_with_its_reason(document: Any, cache: Path, tmp_path: Path) -> None:
     # Ten times the load has no power flow; the runs beside it are not touched by that.
     table = {"load": {"path": "case.load_scale", "values": [1.0, 10.0, 0.9]}}
@@ -130,6 +133,7 @@ def test_a_failing_run_is_a_row_with_its_reason(document: Any, cache: Path, tmp_
     assert "peak_pu" not in rows[1]
 
 
+@pytest.mark.slow
 def test_a_time_limit_is_a_row(document: Any, cache: Path, tmp_path: Path) -> None:
     rows = _rows(document({"stop_s": 4000.0}, parameters={}, time_limit_s=0.2), cache, tmp_path)
     assert [(r["status"], r["failure"]) for r in rows] == [("failed", "time limit")]
@@ -144,6 +148,7 @@ def test_an_fmu_that_gives_nan_is_a_row(document: Any, cache: Path, tmp_path: Pa
     assert "controller" in rows[1]["reason"]
 
 
+@pytest.mark.slow
 def test_bisection_finds_the_edge_that_the_grid_shows(document: Any, cache: Path, tmp_path: Path) -> None:
     base = {"stop_s": 8.0, "step_s": 0.02}
     search = {

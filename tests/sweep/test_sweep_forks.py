@@ -68,6 +68,7 @@ def rows_of(table: dict[str, Any], cache: Path, scratch: Path, *, shares: bool, 
     return sorted((o.row for o in result), key=lambda row: row["run"]), sum(o.forked for o in result)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SWEEPS)
 def test_rows_are_the_same_to_the_bit_with_forks_and_without(
     name: str, sweep_of_forks: Any, cache: Path, tmp_path: Path
@@ -83,6 +84,7 @@ def test_rows_are_the_same_to_the_bit_with_forks_and_without(
     assert len({tuple(v for k, v in row.items() if k != "run") for row in rows}) == len(rows)
 
 
+@pytest.mark.slow
 def test_a_run_that_fails_after_a_fork_leaves_the_others_as_they_are(
     sweep_of_forks: Any, cache: Path, tmp_path: Path
 ) -> None:
@@ -130,6 +132,7 @@ actions = st.lists(st.tuples(st.sampled_from([1.0, 2.0, 3.0, 4.0]), st.sampled_f
 )
 
 
+@pytest.mark.slow
 @given(st.lists(actions, min_size=3, max_size=3))
 def test_the_time_until_which_runs_are_alike_is_an_ultrametric(given_acts: list[Any]) -> None:
     point: Any = Point  # a run that has one; its content does not matter here

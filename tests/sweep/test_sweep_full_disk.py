@@ -53,6 +53,7 @@ def sweep_of(document: Any) -> Any:
     return document({"stop_s": 0.8}, parameters=gains)
 
 
+@pytest.mark.slow
 def test_a_disk_that_fills_up_ends_the_sweep_with_all_that_was_written_and_room_lets_it_go_on(
     disk: Path, document: Any, cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -68,6 +68,7 @@ def rows_of(
     return sorted(result, key=key)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SWEEPS)
 def test_rows_are_the_same_to_the_bit_side_by_side_and_one_by_one(
     name: str, sweep: Any, cache: Path, tmp_path: Path
@@ -81,6 +82,7 @@ def test_rows_are_the_same_to_the_bit_side_by_side_and_one_by_one(
         assert repr(rows) == repr(wanted), (lanes, order, shares)
 
 
+@pytest.mark.slow
 def test_company_that_computes_too_long_is_made_alone(
     sweep: Any, cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -107,6 +109,7 @@ def test_company_that_computes_too_long_is_made_alone(
         assert sorted(run for runs in begun if len(runs) == 1 for run in runs) == list(range(len(result)))
 
 
+@pytest.mark.slow
 def test_without_the_library_runs_go_one_by_one(
     sweep: Any, cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -157,6 +160,7 @@ def test_runs_of_one_grid_follow_each_other(sweep: Any) -> None:
     assert how_many(by_plant(jobs), 8) == 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gains", [True, False])
 def test_plants_that_cannot_go_side_by_side_are_found_out(
     gains: bool, document: Any, cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

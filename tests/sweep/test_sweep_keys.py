@@ -26,6 +26,7 @@ def rows_of(table: dict[str, Any], cache: Path, scratch: Path) -> list[dict[str,
         return [outcome.row for outcome in runner.outcomes(range(plan.sweep.size))]
 
 
+@pytest.mark.slow
 def test_keys_of_a_concentrator_do_what_the_same_keys_of_a_scenario_do(
     document: Any, cache: Path, tmp_path: Path
 ) -> None:
@@ -42,6 +43,7 @@ def test_keys_of_a_concentrator_do_what_the_same_keys_of_a_scenario_do(
         assert row["energy_pu2s"] == run_scenario(scenario, cache=cache).metrics.energy_pu2s
 
 
+@pytest.mark.slow
 def test_start_values_of_an_own_fmu_reach_it(document: Any, cache: Path, tmp_path: Path) -> None:
     """An FMU that ends its process at 0.3 s is told so by the sweep: only the run that asks for it fails."""
     own = {"file": str(misbehaving_fmu(tmp_path)), "isolate": True}

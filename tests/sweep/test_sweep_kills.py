@@ -202,6 +202,7 @@ def test_a_full_disk_is_an_error_and_what_was_written_stays_valid(
     assert not list((tmp_path / "s" / "runs").glob(".*"))
 
 
+@pytest.mark.slow
 @needs_proc
 @pytest.mark.parametrize("message", [b"", pickle.dumps(list(range(1000)))[:50]], ids=["none", "half"])
 def test_a_worker_whose_main_process_is_killed_at_its_start_ends_without_a_traceback(message: bytes) -> None:

@@ -37,6 +37,7 @@ def own(tmp_path: Path, document: Any) -> Any:
     return make
 
 
+@pytest.mark.slow
 def test_an_isolated_fmu_that_crashes_is_a_row_and_the_other_runs_are_there(
     own: Any, cache: Path, tmp_path: Path
 ) -> None:

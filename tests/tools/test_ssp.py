@@ -106,6 +106,7 @@ def test_same_scenario_gives_same_bytes(
     assert [f.name for f in again.parent.iterdir()] == ["other.ssp"]
 
 
+@pytest.mark.slow
 @pytest.mark.tools
 @pytest.mark.parametrize("driver", ["fmpy_ssp", "libcosim_ssp", "ecos_ssp"])
 def test_tools_give_the_trajectory_of_held_inputs(

@@ -45,6 +45,7 @@ def test_equilibrium_is_exact() -> None:
     assert np.max(np.abs(plant.derivatives(plant.x0, np.zeros(4))[0])) < 1e-9
 
 
+@pytest.mark.slow
 def test_small_pulse_follows_the_linear_model() -> None:
     plant = two_area("two-area-thesis")
     t, y = plant.simulate(3.0, vref_pulse=("G1", 0.1, 0.3, 1e-4))

@@ -33,6 +33,7 @@ def test_the_json_holds_what_the_table_has(interarea) -> None:  # type: ignore[n
     assert max(entry["size"] for entry in first["shape"].values()) == pytest.approx(1.0)
 
 
+@pytest.mark.slow
 def test_modes_with_a_late_controller(interarea) -> None:  # type: ignore[no-untyped-def]
     """The inter-area mode of the certificate's row, 200 ms late, to the digits that it has."""
     given = ("new-england", "--band", "0.3:0.8", "--below", "0.3", "--controller", "new_england")

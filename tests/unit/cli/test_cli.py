@@ -70,6 +70,7 @@ def test_loops_puts_g4_with_dw24_first(interarea) -> None:  # type: ignore[no-un
     assert indices == sorted(indices, reverse=True)
 
 
+@pytest.mark.slow
 def test_build_writes_the_plant(interarea, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     code, out, _ = interarea("build", "two-area-thesis", "--out", tmp_path)
     assert code == 0
@@ -77,6 +78,7 @@ def test_build_writes_the_plant(interarea, tmp_path: Path) -> None:  # type: ign
     assert Path(out.strip()).read_bytes()[:2] == b"PK"
 
 
+@pytest.mark.slow
 def test_run_writes_its_files(interarea, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     file = tmp_path / "pulse.toml"
     file.write_text(SCENARIO, encoding="utf-8")
@@ -106,6 +108,7 @@ rate = 0.1
 """
 
 
+@pytest.mark.slow
 def test_run_explains_delays_and_packets_and_tests_itself(interarea, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     file = tmp_path / "packets.toml"
     text = 'controller = "ftc"' + SCENARIO.replace("step_s = 0.02", "") + CHANNELS
@@ -225,6 +228,7 @@ def test_screen_refuses_in_one_line(interarea, tmp_path: Path, words, why: str) 
     assert code == 2 and why in said and len(said.splitlines()) == 1
 
 
+@pytest.mark.slow
 def test_build_writes_the_controller_as_a_dll(interarea, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     code, out, err = interarea(
         *("build", "two-area-thesis", "--controller", "robust", "--dll", "linux64", "--sample-time", "0.002"),

@@ -49,6 +49,7 @@ def test_files_that_are_written_are_told_as_json(interarea: Command, tmp_path: P
     assert code == 0 and Path(json.loads(out)["file"]).is_file()
 
 
+@pytest.mark.slow
 def test_verbose_tells_what_the_cache_had_and_how_long_steps_took(interarea: Command) -> None:
     _, _, err = interarea("certify", "robust_linear", "--verbose")
     assert re.search(r"^linear family: done in \d+\.\d s$", err, re.MULTILINE)
@@ -68,6 +69,7 @@ def test_build_tells_each_fmu_and_prints_them_as_json(interarea: Command, tmp_pa
     assert (code, err) == (0, "") and out.split() == list(document["fmus"].values())
 
 
+@pytest.mark.slow
 def test_certify_tells_its_steps(interarea: Command) -> None:
     code, out, err = interarea("certify", "robust_linear", "--json")
     assert code == 0 and json.loads(out)["passed"] is True

@@ -37,6 +37,7 @@ def test_a_single_allowed_actuator_is_a_set(interarea) -> None:  # type: ignore[
     assert [one["actuators"] for one in json.loads(interarea(*given)[1])["sets"]] == [["G2_vs"]]
 
 
+@pytest.mark.slow
 def test_sets_are_ranked_over_operating_points(interarea) -> None:  # type: ignore[no-untyped-def]
     points = ("--point", "out=8-9 a", "--point", "tie=100", "--point", "load=0.9")
     document = json.loads(interarea("loops", "two-area-thesis", "--signals", "speed", *points, "--json")[1])
@@ -45,6 +46,7 @@ def test_sets_are_ranked_over_operating_points(interarea) -> None:  # type: igno
     assert document["remarks"] == []
 
 
+@pytest.mark.slow
 def test_sets_are_designed_shortly(interarea) -> None:  # type: ignore[no-untyped-def]
     """The open loop has .081; each set is tried with its own machine and the two of its signal."""
     given = ("loops", "two-area-thesis", "--signals", "speed", "--together", "1", "--try", "2")

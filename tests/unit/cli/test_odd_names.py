@@ -81,6 +81,7 @@ def test_control_characters_do_not_reach_the_terminal(
     assert not re.search(r"[\x00-\x09\x0b-\x1f\x7f-\x9f]", err)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("value", ["1e300", "-1e300", "1e155", "1e-300", "-1e-200"])
 def test_a_grid_of_huge_numbers_gives_no_warning_of_numpy(value: str, tmp_path: Path) -> None:
     good = matpower_text(load_case("two-area-thesis"))

@@ -80,6 +80,7 @@ def test_nothing_brings_back_a_machine_without_damping_and_governor(tmp_path: Pa
     assert not run.stable
 
 
+@pytest.mark.slow
 def test_modes_of_a_machine_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     result = ia.modes(grid(tmp_path))

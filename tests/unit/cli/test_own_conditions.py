@@ -23,6 +23,7 @@ def own(gain: float = 0.02) -> ia.Controller:
     return ia.Controller.of(control.ss(K.A, K.B @ [[-1, 1]], K.C, K.D @ [[-1, 1]], **names))
 
 
+@pytest.mark.slow
 def test_it_is_judged_under_plain_conditions_and_by_stability_alone() -> None:
     _, judge = judged_and_design(own(), None, None)
     late, lost = ("N", "s50", "s100", "s150", "s200"), ("L:G2_dw", "L:G4_dw")
@@ -45,6 +46,7 @@ def test_it_is_judged_under_plain_conditions_and_by_stability_alone() -> None:
     assert certificate.violations[0] == "as it is, s200: unstable"
 
 
+@pytest.mark.slow
 def test_own_conditions_alone_decide() -> None:
     assert ia.certify(own(), conditions=["N", "s100", "L:G2_dw"]).ok
     wrong_sign = ia.certify(own(-0.02), conditions=["N"])  # it was stable without control
@@ -57,6 +59,7 @@ def test_own_conditions_alone_decide() -> None:
         ia.certify(own(), spec="robust", conditions=["N"])
 
 
+@pytest.mark.slow
 def test_the_command_exits_with_what_was_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     own().save("mine.json")

@@ -28,6 +28,7 @@ def scenario(tmp_path: Path) -> Callable[..., Path]:
     return write
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="the FMU ends its process by a signal")
 def test_a_crash_is_one_line(interarea: Call, scenario: Callable[..., Path], tmp_path: Path) -> None:
     fmu = misbehaving_fmu(tmp_path)
@@ -38,6 +39,7 @@ def test_a_crash_is_one_line(interarea: Call, scenario: Callable[..., Path], tmp
     assert not (tmp_path / "o").exists() or list((tmp_path / "o").iterdir()) == []
 
 
+@pytest.mark.slow
 def test_what_runs_apart_gives_what_it_gives_here(
     interarea: Call, scenario: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -54,6 +56,7 @@ def test_what_runs_apart_gives_what_it_gives_here(
         assert not here.exists() or apart.read_bytes() == here.read_bytes()
 
 
+@pytest.mark.slow
 def test_a_mistake_there_has_its_own_code(
     interarea: Call, scenario: Callable[..., Path], tmp_path: Path
 ) -> None:
@@ -63,6 +66,7 @@ def test_a_mistake_there_has_its_own_code(
     assert code == 2 and "nothing" in said and len(said.strip().splitlines()) == 1
 
 
+@pytest.mark.slow
 def test_what_was_built_here_or_is_isolated_runs_here(
     interarea: Call, scenario: Callable[..., Path], tmp_path: Path, cache: Path
 ) -> None:

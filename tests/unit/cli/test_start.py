@@ -99,6 +99,7 @@ def test_nothing_heavy_is_loaded_for(arguments: tuple[str, ...]) -> None:
     assert not HEAVY & modules
 
 
+@pytest.mark.slow
 def test_numpy_and_scipy_calculate_in_one_thread_unless_more_are_asked_for() -> None:
     code = (
         "import atexit, os, sys\n"
@@ -120,6 +121,7 @@ def test_numpy_and_scipy_calculate_in_one_thread_unless_more_are_asked_for() -> 
     assert said(OPENBLAS_NUM_THREADS="7").startswith("7 ")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "lines",
     [
@@ -155,6 +157,7 @@ def test_a_wrong_name_is_told_with_what_only_the_fmus_know_to_be_wrong(interarea
     assert "machine 'G9' does not exist" in err and "plant.G9_*" in err
 
 
+@pytest.mark.slow
 def test_modes_of_a_case_known_already_take_no_library_of_systems_and_no_plots(cache: Path) -> None:
     linear_matrices(load_case("two-area-thesis"), cache)
     done, modules = _loaded("modes", "two-area-thesis")
@@ -189,6 +192,7 @@ def test_python_dash_m_is_the_command() -> None:
     assert _output("--help").startswith("Usage: interarea [OPTIONS] COMMAND")
 
 
+@pytest.mark.slow
 def test_the_shell_completes_commands_and_options() -> None:
     asked = {"_INTERAREA_COMPLETE": "complete_bash", "COMP_CWORD": "1"}
     assert _output(COMP_WORDS="interarea con", **asked).split() == ["container"]
@@ -204,6 +208,7 @@ def test_quiet_leaves_results_and_verbose_tells_steps(interarea, tmp_path) -> No
     assert "Traceback" in err and err.rstrip().splitlines()[-1].startswith("interarea: case 'kundr'")
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="no SIGINT to a child on Windows")
 @pytest.mark.parametrize("after_s", [0.15, 0.4, 0.8])
 def test_a_stop_in_the_first_moments_gives_no_traceback(after_s: float) -> None:

@@ -79,6 +79,7 @@ def closed(P: control.StateSpace, K: control.StateSpace) -> control.StateSpace:
     return P.lft(K, 1, 1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("d22", [0.0, 0.4])
 def test_least_norms_of_a_scalar_plant(d22: float) -> None:
     """gamma = a + sqrt(a^2 + 2); H2: X = Y = a + sqrt(a^2 + 1), norm^2 = X + X^2 Y. The loop has them."""

@@ -84,6 +84,7 @@ def test_active_is_there_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     assert not (tmp_path / "cache").exists()
 
 
+@pytest.mark.slow
 def test_controllers_are_compared_as_the_command_does(tmp_path: Path) -> None:
     """Objects beside names; each run as alone; the files that `interarea compare` writes, all or none."""
     own = ia.Controller("mine", lead(20.0, 20.0))
@@ -108,6 +109,7 @@ def test_controllers_are_compared_as_the_command_does(tmp_path: Path) -> None:
     assert not [p for p in (tmp_path / "p").rglob("*") if p.is_file()]
 
 
+@pytest.mark.slow
 def test_a_controller_is_compared_on_another_case() -> None:
     case = ia.load_case("two-area-thesis")
     light = case.with_changes({"machines": {"defaults": {"H": 0.5 * case.machines[0].H}}}, name="light")

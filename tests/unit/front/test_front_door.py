@@ -48,6 +48,7 @@ def test_a_changed_case_goes_in_as_an_object(run: object) -> None:
     assert abs(lighter["plant.G1_dw"][at]) > 1.5 * abs(plain["plant.G1_dw"][at])
 
 
+@pytest.mark.slow
 def test_a_run_is_looked_at_and_saved(run: ia.Result, tmp_path: Path) -> None:  # type: ignore[name-defined]
     table = run.to_frame()
     assert table.index.name == "time_s" and table.index[-1] == 3.0
@@ -106,6 +107,7 @@ def test_a_linear_and_a_reduced_model() -> None:
         ia.reduce(relative, 12, method="pade")
 
 
+@pytest.mark.slow
 def test_certify_judges_any_form_by_one_family(hand_controller: ia.Controller) -> None:
     family = {
         "name": "small",
@@ -165,6 +167,7 @@ def test_a_sweep_and_its_results_read_back(tmp_path: Path) -> None:
     assert "2 runs" in repr(results) and "latency" in results._repr_html_()
 
 
+@pytest.mark.slow
 def test_an_fmu_and_an_archive_pass_our_check(tmp_path: Path, hand_controller: ia.Controller) -> None:
     scenario = {**SHORT, "channels": {"remote": {"signal": "G2_dw", "latency_s": 0.1}}}
     for file in (

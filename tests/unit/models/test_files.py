@@ -45,6 +45,7 @@ def _child(parent: Path) -> None:
     (new_folder(parent) / "data").write_bytes(b"x")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["fork", "spawn"])
 def test_a_child_process_leaves_nothing_behind(tmp_path: Path, method: str) -> None:
     """A child of multiprocessing ends without atexit; a forked one must not remove what its parent has."""

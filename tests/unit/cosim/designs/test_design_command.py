@@ -59,6 +59,7 @@ def test_design_shows_what_was_tried_and_draws_it(tmp_path: Path, cache: Path) -
         assert picture.shape[0] > 300 and picture.std() > 0.02  # something is on it
 
 
+@pytest.mark.slow
 def test_a_design_that_misses_what_was_asked_says_so_and_fails(tmp_path: Path, cache: Path) -> None:
     out = tmp_path / "small.json"
     done = CliRunner().invoke(app, ["design", str(spec_file(tmp_path, 0.6)), "--out", str(out)])

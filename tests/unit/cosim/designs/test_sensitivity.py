@@ -112,6 +112,7 @@ def test_plant_sensitivity_is_the_slope_of_its_eigenvalues(path, cache):
         assert s.derivative == pytest.approx(slope, abs=1e-6 * max(1.0, abs(s.eigenvalue)) / abs(value))
 
 
+@pytest.mark.slow
 def test_a_redispatch_moves_modes_as_the_grid_solved_again_says(cache):
     """Eigenvalues of the grid with 20 MW more and less from G4 in place of G2, dense and sparse alike."""
     case, path = load_case(CASE), "redispatch.G2:G4"
@@ -157,6 +158,7 @@ def test_with_parameter_changes_one_number():
         with_parameter(case, "branches.8-9 a.x", float("nan"))
 
 
+@pytest.mark.slow
 def test_modes_command_prints_shapes_participation_sensitivities_and_writes_plots(
     tmp_path, monkeypatch, capsys
 ):

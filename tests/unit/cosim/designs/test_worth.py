@@ -74,6 +74,7 @@ def test_a_design_without_a_rival_is_refused_in_a_line(change: dict[str, Any], s
     assert len(str(caught.value).splitlines()) == 1
 
 
+@pytest.mark.slow
 def test_the_rival_on_record_is_recomputed_not_believed() -> None:
     """The record's figures are those of its system: with a fifth of its gain the rival reaches less."""
     made = shipped_controller("robust")
@@ -117,6 +118,7 @@ def test_compare_says_it_for_each_controller() -> None:
     assert "local stabilizer does as well" in worths["robust"]
 
 
+@pytest.mark.slow
 def test_clearing_times_on_record_count_where_the_same_design_found_them() -> None:
     made = shipped_controller("robust_latency")
     own = specification_of(made)

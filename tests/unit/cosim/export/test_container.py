@@ -92,6 +92,7 @@ def container(cache: Path, by_hand: Controller, tmp_path_factory: pytest.TempPat
     return write_container(loaded, file, cache=cache, controller=by_hand)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_container_follows_the_master(name: str, cache: Path, by_hand: Controller, tmp_path: Path) -> None:
     table = SCENARIOS[name]
@@ -113,6 +114,7 @@ def test_container_follows_the_master(name: str, cache: Path, by_hand: Controlle
         assert np.array_equal(result[f"remote_{count}"], np.asarray(master[f"remote.{count}"])[rows]), count
 
 
+@pytest.mark.slow
 def test_a_guard_that_follows_a_flow_starts_from_the_flow_at_rest(cache: Path, tmp_path: Path) -> None:
     """A fault at once: a slow course that began at 0 would have turned the sides by a fifth."""
     early = FAULT | {"start_s": 0.05, "end_s": 0.15}
@@ -127,6 +129,7 @@ def test_a_guard_that_follows_a_flow_starts_from_the_flow_at_rest(cache: Path, t
         assert np.max(np.abs(ours - wanted)) <= 1e-4 * np.ptp(wanted)
 
 
+@pytest.mark.slow
 def test_supervisor_inside_sees_the_flags_when_they_change(
     cache: Path, hand_controller: Controller, tmp_path: Path
 ) -> None:
@@ -227,6 +230,7 @@ def test_slopes_of_outputs_are_their_derivatives(container: Path) -> None:
         assert (run.get("G2_dw") - speed) / 1e-5 == pytest.approx(rate, rel=1e-3, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_archive_is_valid_and_its_sources_stand_alone(container: Path) -> None:
     assert validate_fmu(str(container)) == []
     schema = Path(fmpy.__file__).parent / "schema" / "fmi2" / "fmi2ModelDescription.xsd"
@@ -273,6 +277,7 @@ def test_command_writes_it(
     assert abs(result["tie_p"][-1] - result["tie_p"][0]) < 1e-9
 
 
+@pytest.mark.slow
 def test_joint_run_has_the_masters_columns_and_the_containers_bits(
     cache: Path, hand_controller: Controller
 ) -> None:
@@ -298,6 +303,7 @@ def test_joint_scenario_is_not_run_by_a_master(hand_controller: Controller) -> N
         run_joint({"stop_s": 1.0, "fmus": {"a": {"file": "a.fmu"}}})
 
 
+@pytest.mark.slow
 def test_a_chain_is_the_loop_without_its_plant(cache: Path, by_hand: Controller, tmp_path: Path) -> None:
     """PMU, channel and controller as one DLL: its inputs are what the plant gives, latency the scenario's."""
     table = scenario(latency_s=0.07, pmu={"bus": 7}, reporting_interval_s=0.02)

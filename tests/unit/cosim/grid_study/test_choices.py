@@ -45,6 +45,7 @@ def test_more_can_be_asked_of_a_mode_that_is_not_weak(cache: Path) -> None:
     assert weak_modes(grid, Choices(grid="kundur-pss", inter_area=0.2)).wanted == 0.2
 
 
+@pytest.mark.slow
 def test_a_study_file_names_its_grid_beside_it(interarea: Any, tmp_path: Path) -> None:
     export_toml(load_case("nets-nyps-no-pss"), tmp_path / "grid.toml")
     (tmp_path / "mine.toml").write_text('grid = "grid.toml"\nminutes = 2.0\n', encoding="utf-8")

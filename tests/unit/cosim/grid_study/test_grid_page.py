@@ -78,6 +78,7 @@ def test_damping_is_the_least_of_each_kind_of_condition() -> None:
     assert base["stable"] is False
 
 
+@pytest.mark.slow
 def test_a_study_that_cannot_go_on_has_the_reason_in_its_place(interarea: Any, tmp_path: Path) -> None:
     code, out, err = interarea("study", "nets-nyps-no-pss", "--out", tmp_path / "out")
     assert code == 1
@@ -90,6 +91,7 @@ def test_a_study_that_cannot_go_on_has_the_reason_in_its_place(interarea: Any, t
     assert out.splitlines() == [str(tmp_path / "out" / n) for n in ("study.json", "report.html")]
 
 
+@pytest.mark.slow
 def test_loops_stand_on_the_page_before_the_first_design(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

@@ -62,6 +62,7 @@ def test_a_grid_without_a_weak_mode_is_not_designed_for(cache: Path) -> None:
         weak_modes(modes_of_grid(load_case("kundur-pss"), cache))
 
 
+@pytest.mark.slow
 def test_points_are_judged_as_their_own_grids(tried: tuple[TriedPoint, ...], cache: Path) -> None:
     row = next(row for row in tried if row.point.out == ("7-8 a",))
     changed = operating_variant(load_case("two-area-thesis"), out=["7-8 a"])
@@ -76,6 +77,7 @@ def test_an_outage_that_cuts_the_grid_is_no_point(tried: tuple[TriedPoint, ...])
     assert cut.point.name not in {point.name for point in chosen_points(tried)}
 
 
+@pytest.mark.slow
 def test_what_there_is_no_time_for_is_left_out_and_said(weak: WeakModes, cache: Path) -> None:
     late = Clock(0.0)
     rows = tried_points(weak, cache, late)
@@ -105,6 +107,7 @@ def test_sets_of_loops_begin_with_the_fewest_that_are_good(weak: WeakModes) -> N
     assert [(len(s.chosen.actuators), s.damping) for s in sets] == [(2, 0.3), (3, 0.9)]
 
 
+@pytest.mark.slow
 def test_other_modes_keep_their_damping_where_the_target_is_reached(
     proposal: Proposal, weak: WeakModes
 ) -> None:

@@ -15,6 +15,7 @@ from interarea.design.delay.curves import delayed_loop, rightmost_roots
 from interarea.fmu_build.write.cache import default_cache
 
 
+@pytest.mark.slow
 def test_each_point_is_the_least_damped_swing_of_its_loop_and_the_page_shows_the_margins(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -82,6 +82,7 @@ def test_a_dll_closes_the_loop_as_the_fmu_does(robust: Path, cache: Path) -> Non
     assert 4.0 < errors[0] / errors[1] < 6.0
 
 
+@pytest.mark.slow
 def test_a_scenario_names_a_dll_among_its_fmus(robust: Path, tmp_path: Path) -> None:
     (tmp_path / "robust.so").write_bytes(robust.read_bytes())
     file = tmp_path / "loop.toml"
@@ -114,6 +115,7 @@ def test_a_scenario_names_a_dll_as_its_controller(robust: Path, cache: Path) -> 
         controller_of(robust, loaded.load_case(), cache)
 
 
+@pytest.mark.slow
 def test_what_is_wrong_with_a_dll_is_one_error(robust: Path, tmp_path: Path, cache: Path) -> None:
     system = System(stop_s=1.0, step_s=0.01, cache=cache)
     with pytest.raises(GraphError, match=r"no 'limmit' in robust\.so"):

@@ -84,6 +84,7 @@ def error_of(master: Master, synchronous: bool) -> float:
     return float(np.max(np.abs(run["plant.r"] - run["plant.l"] - exact)) / np.max(np.abs(exact)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("synchronous", [True, False])
 def test_the_loop_is_the_delay_equation_to_2e_7_at_10_ms_and_of_third_order(synchronous: bool) -> None:
     coarse, middle, fine = (
@@ -95,11 +96,13 @@ def test_the_loop_is_the_delay_equation_to_2e_7_at_10_ms_and_of_third_order(sync
     assert np.log2(coarse / fine) >= 2 * 3.0 or fine <= 2e-8
 
 
+@pytest.mark.slow
 def test_a_tighter_tolerance_keeps_fourth_order_without_a_channel() -> None:
     middle, fine = (error_of(loop(h, synchronous=False, tolerance=1e-10), False) for h in (0.01, 0.005))
     assert np.log2(middle / fine) >= 3.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("abilities", "bound"),
     [
@@ -114,12 +117,14 @@ def test_fmus_that_can_do_less_still_converge(abilities: dict[str, Any], bound: 
     assert middle / fine >= 3.0
 
 
+@pytest.mark.slow
 def test_straight_lines_are_second_order_and_held_inputs_first() -> None:
     for inputs, order in (("linear", 2.0), ("hold-jacobi", 1.0), ("hold-gauss-seidel", 1.0)):
         middle, fine = (error_of(loop(h, synchronous=True, inputs=inputs), True) for h in (0.01, 0.005))
         assert np.log2(middle / fine) == pytest.approx(order, abs=0.15)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("inputs", ["hold-jacobi", "hold-gauss-seidel"])
 def test_held_inputs_add_the_latency_that_the_ledger_states(inputs: Any) -> None:
     """The run is the delay equation with the loop's stated latency added, up to an error of O(H^2)."""
@@ -135,11 +140,13 @@ def test_held_inputs_add_the_latency_that_the_ledger_states(inputs: Any) -> None
     assert rows[0] / rows[1] >= 3.0
 
 
+@pytest.mark.slow
 def test_any_declaration_order_gives_the_same_bits() -> None:
     runs = [loop(0.01, synchronous=False, turn=k).run().data for k in range(3)]
     assert runs[0].equals(runs[1]) and runs[0].equals(runs[2])
 
 
+@pytest.mark.slow
 def test_saving_restoring_and_going_on_is_not_stopping() -> None:
     whole = loop(0.01, synchronous=False).run().data
     master = loop(0.01, synchronous=False)
@@ -152,6 +159,7 @@ def test_saving_restoring_and_going_on_is_not_stopping() -> None:
     assert first.equals(whole) and again.equals(whole)
 
 
+@pytest.mark.slow
 def test_a_second_run_on_live_participants_gives_the_same_bits() -> None:
     master = loop(0.01, synchronous=True)
     first = master.run().data

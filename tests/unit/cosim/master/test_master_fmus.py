@@ -138,6 +138,7 @@ def _unpack_in(folder: Path, fmu: Path) -> None:
     assert FmuFile(fmu).folder.is_dir()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", sorted(multiprocessing.get_all_start_methods()))
 def test_a_worker_process_leaves_no_unpacked_fmu(lag: FmuFile, tmp_path: Path, method: str) -> None:
     """Children of multiprocessing end without atexit and finalizers: a study left 194 folders behind."""

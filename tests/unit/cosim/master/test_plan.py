@@ -50,6 +50,7 @@ def test_options_are_checked_before_there_are_participants(options: dict[str, An
         LoopPlan((), stop_s=1.0, **options)
 
 
+@pytest.mark.slow
 def test_the_plan_of_a_scenario_says_what_its_master_steps() -> None:
     scenario = load_scenario("lost-signal")
     system = system_of(scenario)

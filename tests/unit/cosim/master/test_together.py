@@ -184,6 +184,7 @@ FAILING: dict[str, dict[str, Any]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("changes", FAILING.values(), ids=FAILING.keys())
 @pytest.mark.parametrize("place", [0, 2])
 def test_a_run_that_fails_leaves_with_its_own_reason(
@@ -250,6 +251,7 @@ def test_a_cancelled_run_stops_where_it_is_and_can_go_on(masters: list[Master], 
     assert [bits(m) for m in masters[:3]] == alone[:3]
 
 
+@pytest.mark.slow
 def test_plants_with_ports_have_the_bits_of_each_alone(
     cache: Path, by_hand: Controller, library: GroupLibrary
 ) -> None:

@@ -31,6 +31,7 @@ def ring(misbehaving: Path, isolated: str) -> System:
     return system.connect("x.y", "y.u").connect("y.y", "x.u")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("isolated", ["x"])
 def test_isolated_or_not_the_bits_are_the_same(misbehaving: Path, isolated: str) -> None:
     here, there = ring(misbehaving, "").run(), ring(misbehaving, isolated).run()
@@ -38,6 +39,7 @@ def test_isolated_or_not_the_bits_are_the_same(misbehaving: Path, isolated: str)
     np.testing.assert_allclose(there["x.y"], np.cosh(there["time_s"]), rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_an_fmu_that_aborts_fails_the_run_and_the_caller_lives(misbehaving: Path) -> None:
     system = System(stop_s=1.0, step_s=0.1).fmu("x", misbehaving, u=1.0)
     system.fmu("bad", misbehaving, isolate=True, abort_at=0.45).connect("x.y", "bad.u")
@@ -53,6 +55,7 @@ def test_an_fmu_that_aborts_fails_the_run_and_the_caller_lives(misbehaving: Path
     np.testing.assert_allclose(run["bad.y"], run.time_s**2 / 2, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_crashed_worker_is_started_again_for_another_run(misbehaving: Path) -> None:
     system = System(stop_s=1.0, step_s=0.1).fmu("bad", misbehaving, isolate=True, u=1.0, abort_at=0.45)
     with system.master() as master:
@@ -66,6 +69,7 @@ def test_a_crashed_worker_is_started_again_for_another_run(misbehaving: Path) ->
     np.testing.assert_allclose(run["bad.y"], run.time_s, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_errors_of_the_fmu_travel_with_all_they_say(misbehaving: Path) -> None:
     system = System(stop_s=1.0, step_s=0.1).fmu("a", misbehaving, isolate=True, u=1.0, end_at=0.55)
     with pytest.raises(
@@ -76,6 +80,7 @@ def test_errors_of_the_fmu_travel_with_all_they_say(misbehaving: Path) -> None:
     assert caught.value.trajectory is not None and caught.value.trajectory.time_s[-1] == 0.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("early", ["continue", "roll back"])
 def test_early_returns_of_an_isolated_fmu(misbehaving: Path, early: str) -> None:
     runs = []
@@ -87,6 +92,7 @@ def test_early_returns_of_an_isolated_fmu(misbehaving: Path, early: str) -> None
     assert runs[0]["a.y"].iloc[-1] == pytest.approx(1.5, rel=1e-12)
 
 
+@pytest.mark.slow
 def test_an_fmu_that_hangs_is_ended_and_may_run_again(misbehaving: Path) -> None:
     system = System(stop_s=1.0, step_s=0.1)
     system.fmu("stuck", misbehaving, isolate=True, time_limit_s=1.0, u=1.0, hang_at=0.45)
@@ -115,6 +121,7 @@ def test_a_time_limit_needs_a_process_and_is_positive(misbehaving: Path) -> None
         load_scenario({"stop_s": 1.0, "fmus": {"a": {"file": str(misbehaving), "time_limit_s": 1.0}}})
 
 
+@pytest.mark.slow
 def test_values_can_be_read_and_no_process_is_left(misbehaving: Path) -> None:
     system = System(stop_s=1.0, step_s=0.1).fmu("a", misbehaving, isolate=True, u=1.0)
     with system.master() as master:
@@ -131,6 +138,7 @@ def test_values_can_be_read_and_no_process_is_left(misbehaving: Path) -> None:
         part.value_of("u")
 
 
+@pytest.mark.slow
 def test_a_scenario_file_isolates(misbehaving: Path, tmp_path: Path) -> None:
     file = tmp_path / "crash.toml"
     text = f'stop_s = 1.0\nstep_s = 0.1\n[fmus.bad]\nfile = "{misbehaving.as_posix()}"\nisolate = true\n'

@@ -98,6 +98,7 @@ def test_machines_without_a_place_are_named_and_too_few_places_give_a_compass(no
     assert drawn(north) == "rectilinear"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("band", [(), ("--band", "0.1:0.9")])
 def test_the_command_draws_every_mode_dense_and_sparse(tmp_path, interarea, north: Case, band) -> None:  # type: ignore[no-untyped-def]
     grid, folder = tmp_path / "north.toml", tmp_path / "maps"

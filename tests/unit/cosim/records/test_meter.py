@@ -103,6 +103,7 @@ def test_intervals_hold_what_they_promise_and_are_not_wide() -> None:
     assert np.std(off) < 0.008
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("f", "length_s"), [(0.31, 60.0), (0.545, 180.0), (0.9, 60.0)])
 def test_a_line_is_forced_and_gets_no_damping_ratio(f: float, length_s: float) -> None:
     """The second is at the mode itself, where a minute is not enough to be certain."""
@@ -134,6 +135,7 @@ def test_sixty_seconds_of_a_mode_are_not_called_forced(seed: int) -> None:
     assert "forced" not in kinds
 
 
+@pytest.mark.slow
 def test_a_run_rings_down_as_its_own_fit_and_its_roots_say(tmp_path: Path) -> None:
     run = ia.simulate("ring-down")
     run.save(tmp_path)
@@ -162,6 +164,7 @@ def test_too_short_and_too_slow_records_are_refused_with_what_would_do() -> None
         meter(flat)
 
 
+@pytest.mark.slow
 def test_the_command_prints_a_table_or_json_and_refuses_in_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -192,6 +192,7 @@ def test_channels_of_psse(tmp_path: Path) -> None:
     np.testing.assert_allclose(record.of("bus151", "frequency"), 50.0 + 0.05 * np.sin(TIME), atol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_run_is_read_back(tmp_path: Path) -> None:
     run = ia.simulate("ring-down")
     run.save(tmp_path)

@@ -29,6 +29,7 @@ def test_three_modes_in_four_signals_are_told_apart() -> None:
     assert fit.error <= 1e-9
 
 
+@pytest.mark.slow
 @given(st.floats(-0.02, 0.5), st.floats(0.2, 2.5), st.floats(0.0, 6.0))
 def test_one_mode_is_found_whatever_its_damping_frequency_and_phase(z: float, f: float, phase: float) -> None:
     (mode,) = m.ring_down(T, swing(z, f, phase)[:, None], rank_tolerance=1e-9).modes[:1]

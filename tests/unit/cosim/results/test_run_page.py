@@ -64,6 +64,7 @@ class Balanced(HTMLParser):
             assert self.open.pop() == tag
 
 
+@pytest.mark.slow
 def test_the_page_is_whole_and_says_what_ran(run: Run) -> None:
     text = run_page(run, run.plot(), explorer="explorer.html")
     parser = Balanced()
@@ -78,6 +79,7 @@ def test_the_page_is_whole_and_says_what_ran(run: Run) -> None:
     assert "prefers-color-scheme: dark" in text
 
 
+@pytest.mark.slow
 def test_the_pointer_shows_what_was_run(run: Run) -> None:
     """The curves kept with the figure, at the places of the axes that the SVG draws."""
     text = run_page(run, run.plot())
@@ -96,6 +98,7 @@ def test_the_pointer_shows_what_was_run(run: Run) -> None:
         assert any(np.allclose(axis["at"], box, atol=0.2) for box in boxes), (axis["at"], boxes)
 
 
+@pytest.mark.slow
 def test_what_is_kept_runs_the_same_again(run: Run, tmp_path: Path) -> None:
     run.save(tmp_path / "out")
     record = json.loads((tmp_path / "out" / "run.json").read_text(encoding="utf-8"))

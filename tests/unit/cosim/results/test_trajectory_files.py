@@ -76,6 +76,7 @@ def test_in_parts_as_at_once(
     assert str(result.packets) == str(whole.packets) and result.warnings == whole.warnings
 
 
+@pytest.mark.slow
 def test_a_run_with_a_case_in_parts_as_at_once(
     hand_controller: Controller, cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -33,6 +33,7 @@ def scenario(tmp_path: Path, hand_controller: Controller) -> Scenario:
     return load_scenario(DOCUMENT | {"folder": tmp_path})
 
 
+@pytest.mark.slow
 def test_each_is_the_run_that_it_is_alone(scenario: Scenario, cache: Path) -> None:
     reported: list[tuple[str, float]] = []
     none, own = compare_controllers(
@@ -45,6 +46,7 @@ def test_each_is_the_run_that_it_is_alone(scenario: Scenario, cache: Path) -> No
     assert {name for name, _ in reported} == {"none", "mine"} and reported[-1] == ("mine", 1.0)
 
 
+@pytest.mark.slow
 def test_roots_over_latency_are_those_of_the_loop_with_that_latency(scenario: Scenario, cache: Path) -> None:
     (own,) = compare_controllers(scenario, ["mine.json"], cache=cache)
     at_s = LATENCIES_S[8]
@@ -70,6 +72,7 @@ def test_all_wrong_controllers_at_once(scenario: Scenario, cache: Path) -> None:
         compare_controllers(scenario, ["robust", "robust"], cache=cache)
 
 
+@pytest.mark.slow
 def test_the_command_writes_one_page(interarea, tmp_path: Path, scenario: Scenario) -> None:  # type: ignore[no-untyped-def]
     file = tmp_path / "s.toml"
     text = 'case = "two-area-thesis"\nstop_s = 3.0\n[channels.a]\nsignal = "G2_dw"\nlatency_s = 0.1\n'

@@ -34,6 +34,7 @@ def table(file: Path, *, isolate: bool = False, **start: float) -> dict[str, Any
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("isolate", [False, True])
 def test_steps_with_a_warning_are_one_line_and_a_file(
     misbehaving: Path, tmp_path: Path, isolate: bool
@@ -74,6 +75,7 @@ def test_what_is_beyond_the_room_for_lines_is_counted(
     assert result.warnings[0].startswith("a: 5 steps with a warning")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("isolate", [False, True])
 def test_an_fmu_that_ends_the_run_leaves_results(misbehaving: Path, tmp_path: Path, isolate: bool) -> None:
     """dx/dt = 1 until it asks to end at 0.035 s: three steps are there, and metrics of before are not."""

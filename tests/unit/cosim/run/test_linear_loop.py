@@ -86,6 +86,7 @@ def swings(**changes: Any) -> LoopModes | str:
     return system_of(load_scenario(document(0.1, stop_s=20.0) | changes)).linear_swings()
 
 
+@pytest.mark.slow
 def test_packets_and_losses_count_in_the_mean() -> None:
     smooth = swings()
     packets = {"reporting_interval_s": 0.02, "on_loss": "hold"}
@@ -103,6 +104,7 @@ def test_packets_and_losses_count_in_the_mean() -> None:
     assert damping_ratio(worse.least) < damping_ratio(held.least) - 0.02
 
 
+@pytest.mark.slow
 def test_a_signal_that_is_lost_in_the_window_counts_as_lost() -> None:
     channels = document(0.1)["channels"]
     channels["remote"]["outages_s"] = [[1.5, 20.0]]

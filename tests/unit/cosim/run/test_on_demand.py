@@ -50,6 +50,7 @@ def test_a_run_sent_to_another_process_has_the_same_metrics() -> None:
     assert {f.name for f in dataclasses.fields(run)} - set(vars(there)) == {"measure"}
 
 
+@pytest.mark.slow
 def test_a_run_without_a_controller_loads_no_python_control() -> None:
     code = (
         "import sys; from interarea.cosim.run.run import run_scenario; "
@@ -77,6 +78,7 @@ def test_a_warm_run_makes_few_calls() -> None:
     assert calls <= 16_000
 
 
+@pytest.mark.slow
 def test_the_files_of_a_run_are_written_without_python_control(tmp_path: Path) -> None:
     """Figure and report too, which an earlier state drew with it loaded: a second of each run."""
     code = (

@@ -22,6 +22,7 @@ def chain(file: Path) -> System:
     return system.connect("a.y", "b.u")
 
 
+@pytest.mark.slow
 def test_the_second_instance_runs_apart(tmp_path: Path) -> None:
     result = chain(misbehaving_fmu(tmp_path, once=True)).run()
     t = result["time_s"]

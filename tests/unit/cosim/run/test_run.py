@@ -56,6 +56,7 @@ def test_windows_can_be_chosen_and_unknown_modes_are_refused(ring_down: Run) -> 
         ring_down.damping_ratio("interarea")
 
 
+@pytest.mark.slow
 def test_a_limit_cycle_at_the_output_limit_is_not_stable() -> None:
     """Latency beyond the margin: the swing grows until the limit holds it, and then even shrinks a little."""
     late = {s: {"signal": f"{s}_dw", "latency_s": 0.5} for s in ("G2", "G4")}
@@ -73,6 +74,7 @@ def test_nothing_moves_before_the_event(ring_down: Run) -> None:
         assert np.max(np.abs(ring_down.trajectory[f"plant.{machine}_dw"][before])) < 1e-12
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("latency", [{"local": 0.1, "remote": 0.1}, {"local": 0.0, "remote": 0.1}])
 def test_a_small_pulse_through_the_loop_is_the_linear_delay_equation(
     latency: dict[str, float],
@@ -108,6 +110,7 @@ def _stiff_reference(rate: Any, x0: np.ndarray, times: np.ndarray, solve: Any) -
     return solve(rate, x0, 0.1, (1.0, 1.2), float(times[-1]), method="Radau", rtol=1e-7, atol=1e-13)(times)
 
 
+@pytest.mark.slow
 def test_synchronous_feedback_has_no_loop_and_no_delay_of_the_master(by_hand: Controller) -> None:
     loaded = load_scenario(document(stop_s=1.5))
     with Loop(loaded, controller=by_hand) as loop:

@@ -71,6 +71,7 @@ def test_an_output_connected_to_nothing(hand_controller: Controller) -> None:
         warned(replace(hand_controller, system=none))
 
 
+@pytest.mark.slow
 def test_a_run_warns_and_keeps_the_lines(hand_controller: Controller, tmp_path: Any) -> None:
     odd = document(event=[PULSE | {"end_s": 12.0}])
     with pytest.warns(ScenarioWarning, match="end_s = 12 lies after the run"):

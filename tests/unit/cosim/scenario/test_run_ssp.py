@@ -95,6 +95,7 @@ TWICE_AND_ONE = (
 )
 
 
+@pytest.mark.slow
 def test_it_is_the_system_that_it_describes(fmu: Path, tmp_path: Path) -> None:
     """The value of the outer system, mapped, takes the place of the inner one."""
     top = system(
@@ -111,6 +112,7 @@ def test_it_is_the_system_that_it_describes(fmu: Path, tmp_path: Path) -> None:
     assert "a <-> sub_b" in run.explain()
 
 
+@pytest.mark.slow
 def test_a_value_of_a_system_reaches_what_its_connector_feeds(fmu: Path, tmp_path: Path) -> None:
     inner = system("sub", component("b"), wire("u", "b.u"), connector("u", "input"), values(u=0.25))
     run = run_system(archive(tmp_path, fmu, system("root", inner)))

@@ -70,6 +70,7 @@ def test_refused(keys: dict[str, Any], faults: list[dict[str, Any]], says: str) 
         load_scenario(scenario(*faults, **keys))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("fault", "keys"),
     [

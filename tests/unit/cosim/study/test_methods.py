@@ -37,6 +37,7 @@ def plant(relative: control.StateSpace, two_area: Case) -> control.StateSpace:
     return speeds_in_rad(relative, two_area.omega_b)
 
 
+@pytest.mark.slow
 def test_the_norm_of_the_closed_loop_is_the_peak_over_frequency(
     plant: control.StateSpace, hand_controller: Controller
 ) -> None:
@@ -54,6 +55,7 @@ def test_the_norm_of_the_closed_loop_is_the_peak_over_frequency(
     assert closed_norm(effort_plant(G), k) == pytest.approx(effort, rel=1e-4)
 
 
+@pytest.mark.slow
 def test_a_reduction_that_costs_too_much_is_refused(relative: control.StateSpace, two_area: Case) -> None:
     """Order 4 doubles the effort of the wide-area controller: .246 to .502; order 6 costs nothing."""
     with pytest.raises(UncertifiedDesign, match=r"from 8 to 4 raises the effort .*0\.246.* to 0\.502"):
@@ -122,6 +124,7 @@ def test_least_swing_looks_at_its_band_only() -> None:
     assert least_swing(np.array([-3.0 + 0j])) == 1.0
 
 
+@pytest.mark.slow
 def test_the_printed_iteration_narrows_the_sector_until_it_stops() -> None:
     """Two lightly damped modes, two speeds: every half-step is no wider, the loop keeps what is claimed."""
     A = np.array([[0.0, 1, 0, 0], [-16, -0.4, 2, 0], [0, 0, 0, 1], [2, 0, -50, -2.0]])

@@ -67,6 +67,7 @@ class Page(HTMLParser):
         self.open.pop()
 
 
+@pytest.mark.slow
 def test_page_is_well_formed_and_loads_nothing(tmp_path: Path) -> None:
     text = render_report(sample_study(), {key: shown(tmp_path, key) for key in ("5.10", "5.15", "delay")})
     page = Page()
@@ -188,6 +189,7 @@ def test_claims_that_cannot_be_read_are_refused(tmp_path: Path) -> None:
     assert printed_rows(CLAIMS, sample_study())["corrections"]
 
 
+@pytest.mark.slow
 def test_page_links_the_explorer_beside_it(figure: Path) -> None:
     study = sample_study()
     assert "explorer.html" not in render_report(study, {"5.10": figure})

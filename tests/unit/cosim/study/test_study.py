@@ -259,6 +259,7 @@ def test_with_every_signal_lost_the_modes_are_those_of_the_plant(
         assert result[name] == pytest.approx(mode.eigenvalue, abs=1e-8)
 
 
+@pytest.mark.slow
 def test_certificate_says_lost_where_the_signal_is_lost(
     plant: control.StateSpace, modes: Modes, hand_controller: Controller
 ) -> None:
@@ -270,6 +271,7 @@ def test_certificate_says_lost_where_the_signal_is_lost(
     json.dumps(row, allow_nan=False)
 
 
+@pytest.mark.slow
 def test_effort_is_the_peak_of_the_gain(plant: control.StateSpace, hand_controller: Controller) -> None:
     K = hand_controller.system
     G = select(plant, ["G4_vs"], ["G2_dw", "G4_dw"])

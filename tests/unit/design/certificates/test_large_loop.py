@@ -41,6 +41,7 @@ def scaled(gain: float) -> control.StateSpace:
     return control.ss(K.A, K.B, gain * K.C, gain * K.D, **names)
 
 
+@pytest.mark.slow
 def test_every_verdict_is_that_of_the_dense_plant() -> None:
     point, large = base()
     conditions = [condition_of_many(code, TABLE.signals) for code in CODES]
@@ -56,6 +57,7 @@ def test_every_verdict_is_that_of_the_dense_plant() -> None:
     assert sparse.loss_criterion == pytest.approx(dense.loss_criterion, rel=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gain", [-1.0, -4.0, 12.0])
 def test_what_grows_is_counted_as_dense_eigenvalues_count_it(gain: float) -> None:
     point, large = base()
@@ -90,6 +92,7 @@ def test_two_names_for_one_mode_are_no_certificate() -> None:
         twice.followed(K, condition_of_many("N", TABLE.signals))
 
 
+@pytest.mark.slow
 def test_a_mode_is_not_followed_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
     large = base()[1]
     (mode,) = large.inter_area
@@ -99,6 +102,7 @@ def test_a_mode_is_not_followed_for_ever(monkeypatch: pytest.MonkeyPatch) -> Non
         large.follow(K, condition_of_many("s150", TABLE.signals), mode)
 
 
+@pytest.mark.slow
 def test_a_model_of_a_large_grid_answers_as_the_grid_does(cache: Path) -> None:
     """The response of what a search is made on, at frequencies between those where its error was measured."""
     case, signals, actuators = load_case("wecc-240"), ("G2030_G_dw", "G2630_dw"), ("G2030_G_vs", "G5032_C_vs")

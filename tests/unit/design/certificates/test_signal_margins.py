@@ -67,6 +67,7 @@ def test_latencies_are_those_of_the_state_space_method_and_scales_divide_stable_
             assert rightmost(signal, inside) < 0.0 < rightmost(signal, outside)
 
 
+@pytest.mark.slow
 def test_sparse_blocks_give_the_margins_of_the_dense_plant() -> None:
     table, K = load_design("robust_latency"), shipped_controller("robust_latency").system
     case = at_point(table.grid, table.point[0])

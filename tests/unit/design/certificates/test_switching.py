@@ -63,6 +63,7 @@ def oscillator_bank(gain: float, **changes: float) -> tuple[control.StateSpace, 
     return plant, ControllerBank("two", (Controller("both", both), Controller("local", local)), **changes)
 
 
+@pytest.mark.slow
 def test_mild_bank_needs_no_dwell() -> None:
     plant, bank = oscillator_bank(0.2)
     result, P = switching_certificate(plant, bank)
@@ -72,6 +73,7 @@ def test_mild_bank_needs_no_dwell() -> None:
     assert len(result.loops) == 4 + 2 + 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fade_s", [0.0, 0.05])
 def test_dwell_time_holds_for_sequences(fade_s: float) -> None:
     """No sequence of sets at least that far apart grows: the product of any cycle is a contraction."""

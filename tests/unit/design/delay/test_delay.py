@@ -144,6 +144,7 @@ def ftc() -> control.StateSpace:
     return design_ftc(remove_reference(linear_plant("two-area-thesis")), omega_b=OMEGA_B).system
 
 
+@pytest.mark.slow
 def test_synchronous_margin_is_the_phase_at_the_algebraic_unit_gain(
     plant: control.StateSpace, wdc: control.StateSpace
 ) -> None:
@@ -162,6 +163,7 @@ def test_synchronous_margin_is_the_phase_at_the_algebraic_unit_gain(
     assert delay_margin(plant, wdc).margin_s == pytest.approx(min(latencies), abs=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["wdc", "ftc"])
 def test_margin_is_where_the_rightmost_root_crosses(
     plant: control.StateSpace, name: str, request: pytest.FixtureRequest
@@ -189,6 +191,7 @@ def test_late_remote_signal_alone_never_destabilizes(
         assert rightmost_roots(loop.at({"G2_dw": latency}), right_of=0.0)[0].real < 0.0
 
 
+@pytest.mark.slow
 def test_followed_roots_solve_the_exact_equation(plant: control.StateSpace, wdc: control.StateSpace) -> None:
     start = swing_poles(plant, wdc, modes_of(plant, AREAS))
     sweep = damping_over_latency(plant, wdc, [0.0, 0.1, 0.2, 0.3], roots=start)

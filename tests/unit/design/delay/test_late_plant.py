@@ -70,6 +70,7 @@ def generator(name: str, K: control.StateSpace, latency_s: np.ndarray, nodes: in
     return whole
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("latency", [0.0, 0.15, 0.5])
 @pytest.mark.parametrize("name", list(CONTROLLERS))
 def test_modes_are_those_of_a_fine_discretisation(name: str, latency: float) -> None:

@@ -322,6 +322,7 @@ def test_rounding_of_the_data_proves_nothing() -> None:
     assert solve_structured(problem).status != "infeasible"
 
 
+@pytest.mark.slow
 def test_weak_infeasibility_is_left_open_but_said() -> None:
     solution = solve_structured(sector_beyond_an_uncontrollable_mode(bounded=False))
     assert solution.status == "failed"

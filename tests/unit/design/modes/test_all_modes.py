@@ -185,6 +185,7 @@ def test_a_region_that_is_none_is_refused(band: tuple[float, float], below: floa
         all_modes(plant_of("two-area-thesis"), case_of("two-area-thesis").areas, band_hz=band, below=below)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", ["machines.G1.exciter.KA", "machines.G2.H"])
 def test_sensitivities_are_those_of_the_dense_plant(path: str) -> None:
     case = case_of("two-area-thesis")

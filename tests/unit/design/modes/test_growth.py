@@ -107,6 +107,7 @@ def test_both_forms_name_the_swing_modes_alike(name: str) -> None:
     assert all(n.startswith(("control", "common frequency")) for n in others)
 
 
+@pytest.mark.slow
 def test_every_report_of_modes_begins_with_the_verdict(interarea) -> None:  # type: ignore[no-untyped-def]
     case = "kundur-thyristor-z"
     start = "UNSTABLE: 2 of 32 eigenvalues grow: +0.01415 ± 3.8291j 1/s"
@@ -147,6 +148,7 @@ EXCITERS = "".join(
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("dyr", "lines"),
     [

@@ -35,6 +35,7 @@ def chosen(at: LoopPoint, *points: LoopPoint, **options) -> LoopChoice:  # type:
     )
 
 
+@pytest.mark.slow
 def test_what_holds_at_a_point_is_the_score_that_the_point_gives_by_itself() -> None:
     """Each point ranked as if it were the base one; the modes keep their order from one to the other."""
     base, light = point("nets-nyps"), point("nets-nyps", 0.9)

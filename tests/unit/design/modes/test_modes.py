@@ -169,6 +169,7 @@ def test_names_in_a_closed_loop_are_those_followed_from_the_open_one(
         }
 
 
+@pytest.mark.slow
 def test_a_name_that_fits_another_mode_as_well_is_told() -> None:
     """At twice its gain a controller and the machines swing as one: what was not followed is in doubt."""
     open_loop = plant()

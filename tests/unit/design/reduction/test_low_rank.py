@@ -37,6 +37,7 @@ def exact(name: str, s: complex) -> np.ndarray:
     return C @ np.linalg.solve(s * np.eye(len(m.A)) - m.A, B)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "order", "least"), [("two-area-thesis", 20, 1e-6), ("nets-nyps", 50, 1e-8)])
 def test_the_error_is_that_of_the_dense_response(name: str, order: int, least: float) -> None:
     made = reduced(name, order)
@@ -50,6 +51,7 @@ def test_the_error_is_that_of_the_dense_response(name: str, order: int, least: f
     assert made.error < least
 
 
+@pytest.mark.slow
 def test_hankel_values_are_those_of_dense_gramians() -> None:
     inputs, outputs = SIGNALS["nets-nyps"]
     system = select(remove_reference(linear_plant(load_case("nets-nyps"), default_cache())), inputs, outputs)
@@ -57,6 +59,7 @@ def test_hankel_values_are_those_of_dense_gramians() -> None:
     assert reduced("nets-nyps", 40).hankel_values[:12] == pytest.approx(dense[:12], rel=1e-5)
 
 
+@pytest.mark.slow
 def test_no_model_of_so_many_states_is_nearer_than_the_first_value_cut() -> None:
     """Bounds of Glover and Enns over all frequencies: value k + 1, and twice the sum of all values cut."""
     made = reduced("nets-nyps", 16)
@@ -65,6 +68,7 @@ def test_no_model_of_so_many_states_is_nearer_than_the_first_value_cut() -> None
     assert made.hankel_values[16] < max(errors) < 2.0 * np.sum(made.hankel_values[16:])
 
 
+@pytest.mark.slow
 def test_zero_modes_that_are_seen_stay_and_the_rotation_goes() -> None:
     assert reduced("nets-nyps", 30).removed == ("zero mode",)
     made = reduced("new-england", 44)  # constant torque: the common speed is a zero mode too

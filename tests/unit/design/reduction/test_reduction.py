@@ -55,6 +55,7 @@ def test_three_states_by_hand() -> None:
     assert r.error <= r.bound * (1 + 1e-6)  # equal here; the norm is known to 1e-8
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", [2, 4, 6, 9, 12])
 def test_errors_obey_their_bounds(loop: control.StateSpace, order: int) -> None:
     for r in (
@@ -186,6 +187,7 @@ def inter_area_damping(plant: control.StateSpace, K: control.StateSpace) -> floa
     return float(np.min(-w.real / np.abs(w)))
 
 
+@pytest.mark.slow
 def test_closed_loop_weights_keep_what_the_controller_does(
     loop: control.StateSpace, lqg: tuple[control.StateSpace, control.StateSpace]
 ) -> None:
@@ -230,6 +232,7 @@ def test_weighted_reduction_with_unit_weights_is_balanced_truncation(loop: contr
     assert distance(balanced_truncation(loop, 6).system, matrices(one.system)) < 1e-8
 
 
+@pytest.mark.slow
 def test_weights_move_the_error_where_they_are_small(loop: control.StateSpace) -> None:
     band = control.ss([[-1.0, -16.0], [1.0, 0.0]], [[1.0], [0.0]], [[1.0, 0.0]], 0.0)  # around 4 rad/s
     weighted = weighted_reduction(loop, 4, output_weight=band)

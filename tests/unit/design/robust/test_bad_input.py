@@ -141,6 +141,7 @@ def test_a_guard_that_follows_no_output_is_refused_before_the_search(tmp_path: P
         run_design(load_design(path), cache)
 
 
+@pytest.mark.slow
 def test_a_design_names_an_inter_area_mode_that_its_signal_does_not_show(
     cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -173,6 +174,7 @@ def test_a_start_must_have_the_loops_and_the_order_of_the_design() -> None:
         replace(SPEC, starts=0)
 
 
+@pytest.mark.slow
 def test_a_search_goes_on_from_the_controller_it_is_given() -> None:
     """No random start, and nothing worse than what was given."""
     plants = {"base": resonances()}

@@ -174,6 +174,7 @@ def test_steps_never_go_up(objective: Objective) -> None:
         value = objective.value(result)
 
 
+@pytest.mark.slow
 def test_a_later_stage_goes_on_from_the_one_before(objective: Objective) -> None:
     first = Stage(points=("base",), rho=(40.0,), steps=10)
     only, _ = _staged(objective, (first,))
@@ -181,6 +182,7 @@ def test_a_later_stage_goes_on_from_the_one_before(objective: Objective) -> None
     assert objective.value(both) < objective.value(only) - 3e-4
 
 
+@pytest.mark.slow
 def test_a_stage_without_time_leaves_what_it_got(objective: Objective) -> None:
     first = Stage(points=("base",), rho=(40.0,), steps=10)
     only, counted = _staged(objective, (first,))

@@ -113,6 +113,7 @@ def test_each_of_two_actuators_sees_its_own_area_only() -> None:
     assert np.abs(K(0.0)).max() < 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["robust", "robust_linear", "robust_latency", "wide_area"])
 def test_shipped_controllers_hold_at_operating_points_that_no_design_saw(name: str) -> None:
     unseen = {
@@ -143,6 +144,7 @@ def test_what_is_missed_is_named() -> None:
     assert "base, N: unstable" in judge_family(plants, turned, normal).violations
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rest", [{}, {"dc_block": False, "washout_s": 2.0, "feedthrough": True}])
 def test_a_small_design_raises_the_damping_of_every_model(rest: dict[str, Any]) -> None:
     plants = {"base": independent_plant()}
@@ -161,6 +163,7 @@ def test_a_small_design_raises_the_damping_of_every_model(rest: dict[str, Any]) 
     assert np.abs(at_rest).max() < 1e-12
 
 
+@pytest.mark.slow
 def test_a_start_that_later_conditions_find_unstable_is_brought_back() -> None:
     """Where an eigenvalue crosses the axis the effort is infinite: its penalty kept the search outside."""
     table = load_design("robust_latency")
@@ -189,6 +192,7 @@ def test_design_models_carry_loss_and_latency() -> None:
     assert response(late) == pytest.approx(response(normal) * np.exp(-0.1 * s), rel=1e-5)
 
 
+@pytest.mark.slow
 def test_a_decentralised_design_keeps_its_parts_apart() -> None:
     conditions = tuple(condition_of_many(code, ("G2_dw", "G4_dw")) for code in ("N", "L:G2_dw", "L:G4_dw"))
     spec = RobustSpec(
@@ -221,6 +225,7 @@ def test_certificate_from_the_fmu_alone(cache: Path) -> None:
     assert specification_of(again) == load_design("robust_linear")
 
 
+@pytest.mark.slow
 def test_certify_judges_an_fmu_by_its_own_record(cache: Path, tmp_path: Path) -> None:
     shipped = shipped_controller("robust_linear")
     path, out = controller_fmu(shipped, OMEGA_B, cache), tmp_path / "new" / "judged.json"

@@ -35,6 +35,7 @@ def _grid() -> control.StateSpace:
     return control.ss(A, [[0.0], [1.0], [0.0], [1.0]], C, 0.0, inputs=["A_vs"], outputs=["A_dw", "B_dw"])
 
 
+@pytest.mark.slow
 def test_less_asked_where_a_signal_is_lost_leaves_more_where_it_is_there() -> None:
     flat = BandOffsets((0.0, 50.0), (0.0, 0.0))
     spec = RobustSpec(
@@ -143,6 +144,7 @@ def test_targets_of_a_design_file_reach_the_search() -> None:
         design_of(keys | {"target": [{"under": "gone"}]})
 
 
+@pytest.mark.slow
 def test_a_gain_is_changed_after_the_search() -> None:
     """The same search, one input of what it finds lowered; a name that is no signal is refused."""
     keys = {

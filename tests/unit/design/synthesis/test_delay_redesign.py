@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 from independent.two_area import OMEGA_B, linear_plant
 
 from interarea.cosim.study.delay import least_damping
@@ -10,6 +11,7 @@ from interarea.design.linear.linearise import remove_reference, speeds_in_rad
 from interarea.design.synthesis.study_designs import WdcSpec, design_wdc
 
 
+@pytest.mark.slow
 def test_a_design_that_knows_the_latency_keeps_damping_and_margin() -> None:
     relative = remove_reference(linear_plant("two-area-thesis"))
     plant = speeds_in_rad(relative, OMEGA_B)

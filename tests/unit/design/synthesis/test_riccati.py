@@ -86,6 +86,7 @@ def test_lmi_and_riccati_agree(seed: int) -> None:
     assert design.gamma <= optimum * (1 + 1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(10, 14))
 def test_the_weight_of_the_traces_leaves_the_norm_alone(seed: int) -> None:
     """A disk of 1e4 rad/s holds every pole: by LMIs, within 3e-4 of the optimum without it."""

@@ -64,6 +64,7 @@ def test_conventional_meets_its_region_on_the_plant(engine: str) -> None:
     assert (design.controller.input_labels, design.controller.output_labels) == (["remote", "local"], ["u"])
 
 
+@pytest.mark.slow
 def test_effort_is_the_norm_of_k_times_sensitivity() -> None:
     G = two_mass()
     design = conventional(G, PoleRegion(0.2))
@@ -78,6 +79,7 @@ def test_effort_is_the_norm_of_k_times_sensitivity() -> None:
     assert design.norm_of["normal"] <= design.gamma
 
 
+@pytest.mark.slow
 def test_more_damping_costs_more_effort() -> None:
     efforts = [conventional(two_mass(), PoleRegion(z)).gamma for z in (0.1, 0.2, 0.3, 0.4)]
     assert all(b > a for a, b in pairwise(efforts))
@@ -95,6 +97,7 @@ def test_mixed_sensitivity_of_a_speed_is_never_below_one() -> None:
     assert error.value.reachable == pytest.approx(design.gamma, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_fault_tolerant_keeps_every_target() -> None:
     G = two_mass()
     targets = {"normal": 0.3, "remote_lost": 0.2}
@@ -105,6 +108,7 @@ def test_fault_tolerant_keeps_every_target() -> None:
     assert efforts[-1] <= efforts[0]
 
 
+@pytest.mark.slow
 def test_fault_tolerant_with_equal_targets_is_local() -> None:
     """A controller that ignores the remote signal damps the same whatever is lost; none is cheaper."""
     design = fault_tolerant(two_mass(), {"normal": 0.2, "remote_lost": 0.2})
@@ -112,6 +116,7 @@ def test_fault_tolerant_with_equal_targets_is_local() -> None:
     assert np.abs(K[0, 0]).max() < 1e-2 * np.abs(K[0, 1]).max()
 
 
+@pytest.mark.slow
 def test_several_loss_patterns() -> None:
     G = two_mass()
     patterns = {"remote_lost": ("remote",), "local_lost": ("local",)}

@@ -44,6 +44,7 @@ def table_of(fmu: Path, ending: str) -> tuple[list[str], Array]:
     return rows[0], np.array(rows[1:], dtype=float)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["decay", "controller", "channel", "plant"])
 def test_layout_is_the_cross_checks(kind: str, fmus: dict[str, Path]) -> None:
     model = fmpy.read_model_description(str(fmus[kind]))
@@ -119,6 +120,7 @@ def test_fmu_that_cannot_run_here(fmus: dict[str, Path], tmp_path: Path, cache: 
     assert not (tmp_path / "never.fmu").exists()
 
 
+@pytest.mark.slow
 def test_build_writes_plant_channel_and_controller_complete(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:

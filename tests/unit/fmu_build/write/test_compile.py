@@ -53,6 +53,7 @@ def binaries(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("binaries")
 
 
+@pytest.mark.slow
 def test_binary_exports_the_standard_and_nothing_else(binaries: Path) -> None:
     elf = Elf(compile_binary("decay", (DECAY_C,), "linux64", cache=binaries).read_bytes())
     header = (fmi_headers() / "fmi2Functions.h").read_text()
@@ -71,6 +72,7 @@ def test_second_time_needs_no_compiler(binaries: Path, monkeypatch: pytest.Monke
     assert compile_binary("decay", (DECAY_C,), "linux64", cache=binaries) == first
 
 
+@pytest.mark.slow
 def test_a_binary_that_came_with_the_package_needs_no_compiler(
     binaries: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -51,6 +51,7 @@ def test_a_machine_without_binaries_is_named(monkeypatch: pytest.MonkeyPatch) ->
         host_folders()
 
 
+@pytest.mark.slow
 def test_no_machine_finds_what_another_one_kept(
     cache: Path, two_area: Case, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

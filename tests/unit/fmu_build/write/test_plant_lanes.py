@@ -41,6 +41,7 @@ def scenarios(count: int) -> list[dict]:
     return rows
 
 
+@pytest.mark.slow
 def test_every_number_of_lanes_gives_the_same_bits(plants: PlantLanes) -> None:
     rows = scenarios(11)
     alone = plants.run(rows, stop_s=0.5, lanes=1)
@@ -188,6 +189,7 @@ def hard_rows(case: Case, count: int) -> list[dict]:
     return rows
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("make", "network"), [(saturated, None), (with_power, None), (few_ports, "sparse"), (few_ports, "dense")]
 )

@@ -225,6 +225,7 @@ def test_a_call_at_the_same_time_changes_nothing(library) -> None:  # type: igno
         assert step(one, k * STEP) == step(twice, k * STEP)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", list(PARAMETERS))
 def test_instances_side_by_side_are_as_alone_and_a_snapshot_goes_on_elsewhere(
     kind: str,

@@ -60,6 +60,7 @@ def test_bernoulli_loss_within_its_binomial_bounds(channel: Path) -> None:
     assert binom.ppf(5e-5, 3999, 0.1) <= lost <= binom.ppf(1 - 5e-5, 3999, 0.1)
 
 
+@pytest.mark.slow
 def test_gilbert_elliott_rate_and_mean_burst(channel: Path) -> None:
     """Stationary rate a/(a+z), mean burst 1/z; bounds of 4 standard deviations."""
     a, z, n = 0.05, 0.25, 8000

@@ -115,6 +115,7 @@ def simulate(p: dict[str, float], h: float) -> np.ndarray:
     return np.array(rows)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", PATHS)
 def test_it_does_what_a_simulation_of_its_messages_does(concentrator: Path, path: str) -> None:
     p = BASE | PATHS[path]

@@ -306,6 +306,7 @@ def test_st1a_limits_follow_the_terminal_voltage_and_the_field_current():
     assert plant_field(plant, x) == pytest.approx(-6.0 * values["G1_vt"], rel=1e-9)
 
 
+@pytest.mark.slow
 def test_dc1_against_its_equations_written_again():
     """Large step through the regulator's limit, integrated from a second writing of the equations."""
     e = DC1

@@ -108,6 +108,7 @@ def _bank(gain: float) -> BlockShim:
     return BlockShim(replace(block, sources=(*block.sources, record_source())))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("trust", [(1.0, 1.0), (0.0, 1.0), (0.3, 0.9)])
 def test_the_guard_of_a_supervisor_watches_what_is_trusted(trust: tuple[float, float]) -> None:
     """As the guard of one controller that gets the faded signals."""

@@ -110,6 +110,7 @@ def test_a_replay_repeats_the_packets_before_its_start(channel: Path) -> None:
     assert np.array_equal(wrong[last:, 0], right[last:, 0])
 
 
+@pytest.mark.slow
 def test_noise_and_spikes_by_their_law(channel: Path) -> None:
     """4000 packets: mean and standard deviation of noise, share and size of spikes, within 4 sigma."""
     right = packets(channel, {}, 8000)[::2, 0]

@@ -20,6 +20,7 @@ LATE_S = 5e-5
 ALLOWED_SHIFTED = 1.5e-4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("row", KEPT["row"], ids=lambda row: row["run"])
 def test_dw24_is_that_of_another_tool(row):
     """ANDES with the same rows over 5 s; with its event times, ten times closer than asked."""

@@ -184,6 +184,7 @@ def survive(count: int, seed: int) -> tuple[int, float]:
     return good, longest
 
 
+@pytest.mark.slow
 def test_mutated_files_end_in_one_error_class_or_clean_c():
     good, longest = survive(600, 1)
     assert good > 20

@@ -54,6 +54,7 @@ def copied(case: Case) -> Case:
     return case.with_changes({"devices": texts, "machines": rows})
 
 
+@pytest.mark.slow
 def test_a_renamed_copy_gives_the_bits_of_the_library() -> None:
     """Jacobians, and rates with every limiter reached."""
     case = load_case("two-area-thesis")
@@ -68,6 +69,7 @@ def test_a_renamed_copy_gives_the_bits_of_the_library() -> None:
             assert np.array_equal(ours, theirs)
 
 
+@pytest.mark.slow
 def test_a_new_device_has_its_transfer_function(tmp_path: Path) -> None:
     """From G1_vs to the field voltage with the terminal voltage held: (KP + KI/s)/(1 + s TA)."""
     (tmp_path / "mine").mkdir()

@@ -62,6 +62,7 @@ BOUNDS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", BOUNDS)
 def test_a_plant_follows_the_record(name):
     result = errors(name)

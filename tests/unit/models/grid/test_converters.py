@@ -80,6 +80,7 @@ def test_what_cannot_rest_is_named(more, says):
     assert says in str(reported.value).replace("0.521308", "0.5213")
 
 
+@pytest.mark.slow
 def test_a_page_of_a_grid_without_devices_at_buses_takes_none():
     """PLANT_NO_BUS_DEVICES leaves their code out: the bits stay, a grid with devices is refused."""
     case, alone = load_case("two-area-thesis"), ("-DPLANT_NO_BUS_DEVICES",)

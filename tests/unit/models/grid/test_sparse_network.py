@@ -245,6 +245,7 @@ def test_constant_power_starts_at_the_voltages_of_the_case(form: str) -> None:
     assert plant.w[: len(case.buses)].min() > 0.9
 
 
+@pytest.mark.slow
 def test_a_page_of_a_dense_network_has_no_other() -> None:
     """PLANT_DENSE leaves the code of sparse networks out: a dense one keeps its bits, others are refused."""
     case, alone = mesh(4, 3), ("-DPLANT_DENSE",)

@@ -83,6 +83,7 @@ IN_RAW = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", IN_RAW)
 def test_a_mistake_in_a_raw_file(tmp_path: Path, monkeypatch, capsys, what: str) -> None:
     (old, new), wanted = IN_RAW[what]
@@ -144,6 +145,7 @@ def test_a_mistake_keeps_its_line_in_other_encodings_and_line_ends(
     assert "/grid.raw:9: load record: QL (field 7) = '2o.0'" in line
 
 
+@pytest.mark.slow
 def test_a_flow_without_solution_keeps_its_voltages(tmp_path: Path) -> None:
     raw = tmp_path / "grid.raw"
     raw.write_text(FOUR.replace("80.0,20.0,5.0", "8000.0,20.0,5.0"))
@@ -186,6 +188,7 @@ def _plain(row: object) -> str:
     return f"{type(row).__name__} {[getattr(row, key) for key in keys]}"
 
 
+@pytest.mark.slow
 def test_a_dyr_file_that_never_ends_a_record_is_refused_at_once(tmp_path: Path) -> None:
     path = tmp_path / "grid.dyr"
     path.write_text("1 'MINE' 1\n" + "0.1 0.2 0.3 0.4 0.5\n" * 1_000_000)

@@ -58,6 +58,7 @@ def check_outcome(read, path: Path) -> str:
     return "case"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("version", VERSIONS)
 def test_raw_files_with_one_mistake(tmp_path: Path, version: int) -> None:
     rng = random.Random(version)
@@ -69,6 +70,7 @@ def test_raw_files_with_one_mistake(tmp_path: Path, version: int) -> None:
     assert seen == {True, False}
 
 
+@pytest.mark.slow
 def test_raw_and_dyr_files_with_three_mistakes(tmp_path: Path) -> None:
     rng = random.Random(1)
     case = load_case("kundur-pss")

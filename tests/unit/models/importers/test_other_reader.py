@@ -29,6 +29,7 @@ def in_service(table: Any) -> Iterator[Any]:
     return (row for row in table.itertuples() if row.connected1 and row.connected2)
 
 
+@pytest.mark.slow
 def test_another_reader_finds_the_same_buses_voltages_and_admittances(tmp_path: Path) -> None:
     powsybl = pytest.importorskip("pypowsybl", reason="pypowsybl is not installed; pip install pypowsybl")
     case = import_psse(RAW).case
