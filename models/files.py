@@ -211,6 +211,19 @@ def temporary_folder(parent: Path | None = None) -> Iterator[Path]:
         shutil.rmtree(folder, ignore_errors=True)
 
 
+@contextlib.contextmanager
+def temporary_files_in(folder: Path) -> Iterator[None]:
+    """Let the folders and files that others ask `tempfile` for meanwhile lie below one of ours.
+
+    Ours go even if this process is killed; those of a library with a name of its own do not.
+    """
+    before, tempfile.tempdir = tempfile.tempdir, str(folder)
+    try:
+        yield
+    finally:
+        tempfile.tempdir = before
+
+
 def new_folder(parent: Path | None = None) -> Path:
     """Return a new folder below `parent`, absolute; it is removed when the process ends, if not before."""
     root = Path(tempfile.gettempdir() if parent is None else parent).absolute()

@@ -12,6 +12,8 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
+from interarea.models.files import temporary_files_in, temporary_folder
+
 from ..finding import Report
 
 
@@ -103,7 +105,7 @@ def toolbox_rules(path: Path, where: str, report: Report) -> None:
         log.disabled = True
     try:
         operation = OperationSemanticCheck()
-        with FMU(str(path)) as fmu:
+        with temporary_folder() as folder, temporary_files_in(folder), FMU(str(path)) as fmu:
             fmu.apply_operation(operation)
         for message in operation.errors:
             _tell(message, "fmutool", where, report)

@@ -6,6 +6,7 @@ import io
 import shutil
 import subprocess
 import sys
+import tempfile
 import zipfile
 from pathlib import Path
 
@@ -17,6 +18,8 @@ from fmu_blocks import blocks
 from fmu_runner import Runner
 from lxml import etree
 
+from interarea.fmu_build.check.delegated import toolbox_rules
+from interarea.fmu_build.finding import Report
 from interarea.fmu_build.write.package import build_fmu
 
 SCHEMA = Path(fmpy.__file__).parent / "schema" / "fmi2" / "fmi2ModelDescription.xsd"
@@ -39,6 +42,27 @@ def test_fmutool_finds_nothing(fmu: Path) -> None:
     tool = Path(sys.executable).parent / "fmutool"
     done = subprocess.run([tool, "-input", fmu, "-check"], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_the_toolbox_unpacks_below_a_folder_that_the_next_command_removes(
+    fmu: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its own `tmp...` would stay where the process is killed."""
+    from fmu_manipulation_toolbox.operations import FMU
+
+    seen: list[Path] = []
+    apply = FMU.apply_operation
+
+    def noted(self: FMU, operation: object) -> object:
+        seen.append(Path(self.tmp_directory))
+        return apply(self, operation)
+
+    monkeypatch.setattr(FMU, "apply_operation", noted)
+    toolbox_rules(fmu, "model.fmu", Report(str(fmu)))
+    assert len(seen) == 1
+    assert any(part.startswith("interarea-") for part in seen[0].parts)
+    assert not seen[0].exists()
+    assert tempfile.tempdir is None or "interarea-" not in tempfile.tempdir
 
 
 def test_archive_has_what_a_receiver_needs(fmu: Path) -> None:

@@ -21,7 +21,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from interarea.models.files import new_folder
+from interarea.models.files import new_folder, temporary_files_in
 
 from ...errors import SweepError
 from ..plan import SweepPlan
@@ -231,7 +231,7 @@ def _context() -> Any:
     loaded = ("workers.fork_server", "workers.worker", "runner")
     context.set_forkserver_preload([f"{ours}.{name}" for name in loaded])
     # inherited: Ctrl-C while the server loads must not print its traceback
-    with _deaf_to_interrupts(), _temporary_files_in(_sockets()):
+    with _deaf_to_interrupts(), temporary_files_in(_sockets()):
         forkserver.ensure_running()
     return context
 
@@ -244,15 +244,6 @@ def _sockets() -> Path:
     """
     own = new_folder()
     return own if len(os.fsencode(own)) <= 107 - 32 else Path(tempfile.gettempdir())
-
-
-@contextmanager
-def _temporary_files_in(folder: Path) -> Iterator[None]:
-    before, tempfile.tempdir = tempfile.tempdir, str(folder)
-    try:
-        yield
-    finally:
-        tempfile.tempdir = before
 
 
 @contextmanager
