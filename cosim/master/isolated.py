@@ -36,7 +36,9 @@ from .fmu_log import FmuLog
 from .instances import FmuParticipant, Value
 from .real_code import ServedRealCode
 
-_PATIENCE_S = 5.0
+#: in which a worker may terminate and free its FMU, and after an interrupt: one that still starts, or is
+#: within a call, reads later that it is to end, and nothing may live 5 s after a signal
+_PATIENCE_S, _INTERRUPTED_S = 5.0, 1.0
 _log = logging.getLogger("interarea")
 #: by guid: the instance in this process of an FMU that allows no other there
 _single: weakref.WeakValueDictionary[str, FmuParticipant] = weakref.WeakValueDictionary()
@@ -147,8 +149,9 @@ class _Worker(ABC):
             assert process.stdin is not None and process.stdout is not None
             with contextlib.suppress(OSError):  # it may be dead
                 process.stdin.close()  # the worker terminates and frees its FMU at the end of its input
+            interrupted = isinstance(sys.exc_info()[1], KeyboardInterrupt)
             try:
-                process.wait(_PATIENCE_S)
+                process.wait(_INTERRUPTED_S if interrupted else _PATIENCE_S)
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import signal
 import sys
+import threading
+import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -109,6 +112,29 @@ def test_an_fmu_that_hangs_is_ended_and_may_run_again(misbehaving: Path) -> None
         part.set_start({"u": 1.0})
         master.start()
         np.testing.assert_allclose(master.run()["stuck.y"][-1], 1.0, rtol=1e-12)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="a signal interrupts what the main thread waits for")
+def test_an_interrupt_within_a_call_leaves_no_worker_for_long(misbehaving: Path) -> None:
+    """It hears of its end after the call alone: with the patience of an end in order it would live 5 s."""
+    system = System(stop_s=1.0, step_s=0.1)
+    system.fmu("stuck", misbehaving, isolate=True, time_limit_s=60.0, u=1.0, hang_at=0.45)
+    sent_s: list[float] = []
+    workers: list[Any] = []
+    with pytest.raises(KeyboardInterrupt), system.master() as master:
+        part = master.participants["stuck"]
+        assert isinstance(part, WorkerParticipant)
+
+        def interrupt() -> None:
+            workers.append(part._process)
+            sent_s.append(time.monotonic())
+            signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+
+        threading.Timer(2.0, interrupt).start()
+        master.run()
+    assert time.monotonic() - sent_s[0] < 4.0
+    assert workers[0].poll() is not None
 
 
 def test_a_time_limit_needs_a_process_and_is_positive(misbehaving: Path) -> None:
