@@ -79,11 +79,12 @@ def without(values: Array, step_s: float, frequencies_hz: list[float]) -> Array:
     """Return signals (points, signals) less sines of these frequencies, by least squares."""
     if not frequencies_hz:
         return values
-    basis = _sines(len(values), step_s, frequencies_hz)
+    basis = sines(len(values), step_s, frequencies_hz)
     return np.asarray(values - basis @ np.linalg.lstsq(basis, values, rcond=None)[0])
 
 
-def _sines(points: int, step_s: float, frequencies_hz: list[float]) -> Array:
+def sines(points: int, step_s: float, frequencies_hz: list[float]) -> Array:
+    """Return cosines and then sines of these frequencies: (points, 2 frequencies)."""
     turns = 2.0 * np.pi * np.outer(np.arange(points) * step_s, frequencies_hz)
     return np.hstack([np.cos(turns), np.sin(turns)])
 

@@ -28,6 +28,7 @@ from interarea.design.linear.sparse_plant import SparsePlant
 from interarea.models.case.case import Case
 
 from .energy import strongest_line
+from .forced import sines
 from .record import Array, Record, RecordError
 from .signals import BAND_HZ
 
@@ -160,8 +161,8 @@ def source_by_model(
     if two and not two[0].unexplained * _WORTH_TWO <= one[0].unexplained:
         two = []
     source, others, why = _verdict(two or one, max(EXPLAINED, CLEAR * by_chance))
-    first, second = (two or one)[:2]
-    ratio = second.unexplained / max(first.unexplained, by_chance, _EXACT)
+    left = [each.unexplained for each in (two or one)[:2]]
+    ratio = left[-1] / max(left[0], by_chance, _EXACT)  # of a single place 1 at most: nothing is beside it
     best = sorted([*one[:most], *two[:most]], key=lambda c: (len(c.places), c.unexplained))
     likelihood = float(2 * len(keys) * np.log(max(ratio, 1.0)))
     return ModelSource(case.name, f, tuple(best), source, others, why, likelihood, len(keys), tuple(notes))
@@ -297,8 +298,7 @@ def _fitted(values: Array, step_s: float, near_hz: float) -> float:
 def _basis(points: int, step_s: float, f: float) -> Array:
     """Return a line and a sine of a record: (points, 4)."""
     t = np.arange(points) * step_s
-    turn = 2.0 * pi * f * t
-    return np.column_stack([np.ones(points), t - t.mean(), np.cos(turn), np.sin(turn)])
+    return np.column_stack([np.ones(points), t - t.mean(), sines(points, step_s, [f])])
 
 
 def _phasors(values: Array, step_s: float, f: float) -> tuple[ComplexArray, Array]:

@@ -10,6 +10,8 @@ import pytest
 from command_line import invoke
 
 import interarea as ia
+from interarea.cosim.records.model_source import source_by_model
+from interarea.cosim.records.record import Channel, Record
 from interarea.cosim.run.artefacts import sparse_linear_plant
 from interarea.design.linear.zero_eigenvalues import zero_eigenvalues_of
 from interarea.design.modes.all_modes import all_modes
@@ -119,3 +121,28 @@ def test_modes_against_an_infinite_bus(tmp_path: Path) -> None:
     result = all_modes(plant, case.areas, band_hz=(0.1, 3.0), below=0.2)
     assert zeros.count == result.near_zero == near == 2
     assert len(result.modes) == 1
+
+
+def test_the_only_place_for_a_source_is_named(tmp_path: Path) -> None:
+    """A machine against an infinite bus, no load: its torque is all that may swing, 0.02 pu at 0.9 Hz."""
+    case = grid(tmp_path, infinite=True, governor=False).model_copy(update={"loads": ()})
+    plant = sparse_linear_plant(case, default_cache())
+    torque = np.zeros((plant.nstates, 1))
+    torque[plant.speed[0]] = 0.02 / (2.0 * H)
+    swing = plant.forced(2j * np.pi * 0.9, torque, np.zeros((len(plant.bus_names), 2, 1)))
+    size, angle = plant.size_and_angle(swing.voltages)
+    machine = plant.machines[0]
+    rows = {
+        (machine, "speed", "pu"): swing.states[plant.speed[0]],
+        (machine, "rotor angle", "rad"): swing.states[plant.angle[0]],
+        ("bus1", "voltage", "pu"): size[0],
+        ("bus1", "voltage angle", "rad"): angle[0],
+    }
+    time_s = np.arange(0.0, 20.0, 0.05)
+    values = np.array([np.real(row * np.exp(2j * np.pi * 0.9 * time_s)) for row in rows.values()]).T
+    channels = tuple(Channel(f"{at} {quantity}", quantity, unit, at) for at, quantity, unit in rows)
+    result = source_by_model(Record("one", time_s, values, channels), case, plant, frequency_hz=0.9)
+    assert [c.places for c in result.candidates] == [(machine,)]
+    assert result.source is not None
+    assert result.source.amplitude[0] == pytest.approx(0.02, rel=1e-3)
+    assert result.likelihood == 0.0
