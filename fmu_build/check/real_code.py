@@ -8,43 +8,35 @@ from __future__ import annotations
 
 import ctypes
 import math
+import platform
 import re
-import struct
 import sys
 from collections.abc import Callable, Iterable
 from functools import partial
 from pathlib import Path
 
 from ..finding import Report
-from ..open.real_code import ERROR, RealCode, RealCodeLibrary, Values
+from ..open.images import ImageError, read_image
+from ..open.real_code import ERROR, REQUIRED, RealCode, RealCodeLibrary, Values
 
 INTERFACE = "DLL"
 Tell = Callable[[str, str, str, str], None]
 _STEPS = 40
 _SWINGS = ((1.0, 0.1), (0.0, 1e-3))  #: mean and amplitude of the inputs
-_MACHINES = {0x14C: 32, 0x8664: 64, 0xAA64: 64, 3: 32, 62: 64, 183: 64}  #: PE and ELF machine -> bits
-_HERE = 8 * struct.calcsize("P")
-
-
-def bits_of(path: Path) -> tuple[str, int] | None:
-    """Return ("PE" or "ELF", bits) of a library; None for another kind of file."""
-    head = path.read_bytes()[:4096]
-    if head[:4] == b"\x7fELF" and len(head) >= 20:
-        return "ELF", _MACHINES.get(struct.unpack_from("<H", head, 18)[0], 0)
-    if head[:2] == b"MZ" and len(head) >= 64:
-        at = struct.unpack_from("<I", head, 60)[0]
-        if head[at : at + 4] == b"PE\0\0" and len(head) >= at + 6:
-            return "PE", _MACHINES.get(struct.unpack_from("<H", head, at + 4)[0], 0)
-    return None
+_BITS = {"x86": 32, "x86_64": 64, "arm64": 64}
+_SYSTEMS = {"PE": "Windows", "ELF": "Linux", "Mach-O": "macOS"}
+_FORMAT = {"win32": "PE", "darwin": "Mach-O"}.get(sys.platform, "ELF")
+_NAMES = {"amd64": "x86_64", "aarch64": "arm64"}
 
 
 def check_library(path: Path, report: Report) -> bool:
-    """Check the file itself; return whether it can be loaded here."""
-    kind = bits_of(path)
-    if kind is None:
-        report.add("DLL file", path.name, "is neither a Windows nor a Linux library", "give the compiled DLL")
+    """Check what the file itself says; return whether it can be loaded here."""
+    try:
+        image = read_image(path.read_bytes())
+    except ImageError as error:
+        report.add("DLL file", path.name, f"cannot be read: {error}", "give the compiled DLL")
         return False
-    name, bits = kind
+    bits = _BITS.get(image.machine, 0)
     declared = {
         b
         for part in (*path.parts[-3:-1], path.stem)
@@ -57,11 +49,16 @@ def check_library(path: Path, report: Report) -> bool:
             f"has {bits} bits; its name or folder says {' and '.join(sorted(declared))}",
             "build it for the tool that loads it: ATP takes 32 bits, PSCAD those of its Fortran compiler",
         )
-    loads = bits == _HERE and name == ("PE" if sys.platform == "win32" else "ELF")
+    missing = [name for name in REQUIRED if name not in image.exports]
+    if missing:
+        reason = f"no IEEE/CIGRE DLL: it does not have {', '.join(missing)}"
+        report.add("DLL functions", path.name, reason, "export them under these names, as C functions")
+    machine = platform.machine().lower()
+    loads = (image.format, image.machine) == (_FORMAT, _NAMES.get(machine, machine))
     if not loads:
-        system = "Windows" if name == "PE" else "Linux"
-        report.not_run.append(f"a {bits}-bit library for {system} cannot be loaded here")
-    return loads
+        system = _SYSTEMS[image.format]
+        report.not_run.append(f"a {bits}-bit library for {system} ({image.machine}) cannot be loaded here")
+    return loads and not missing
 
 
 def _run(model: RealCode, steps: Iterable[int], swing: tuple[float, float]) -> list[bytes]:

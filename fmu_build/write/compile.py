@@ -167,7 +167,8 @@ def compile_for(kind: str, sources: dict[str, bytes], to: Platform, *, cache: Pa
 
 def shipped_name(kind: str, sources: dict[str, bytes], to: Platform) -> str:
     """Return the name under which the binary of `sources`, compiled by zig, travels in the wheel."""
-    return f"{kind}-{to.name}-{_digest(kind, sources, _flags(kind, to, zig=True), to, '')}{_PACKED}"
+    digest = _digest(kind, tuple(sources.items()), _flags(kind, to, zig=True), to, "")
+    return f"{kind}-{to.name}-{digest}{_PACKED}"
 
 
 def packed_for_travel(binary: bytes) -> bytes:
@@ -209,7 +210,7 @@ def _compiled(kind: str, sources: dict[str, bytes], to: Platform, cache: Path, c
             slices.append(output.read_bytes())
         result.write_bytes(slices[0] if len(slices) == 1 else universal(slices))
 
-    name = f"{kind}-{to.name}-{_digest(kind, sources, flags, to, version)}"
+    name = f"{kind}-{to.name}-{_digest(kind, tuple(sources.items()), flags, to, version)}"
     return artefact(cache, "binaries", name, to.suffix, make)
 
 
@@ -232,8 +233,8 @@ def _object(
     return f"{stem}.o", object_file.read_bytes()
 
 
-def _flags(kind: str, to: Platform, *, zig: bool) -> list[str]:
-    return [*_code_flags(to, zig=zig), *_STRICT, *_link_flags(kind, to, zig=zig)]
+def _flags(kind: str, to: Platform, *, zig: bool) -> tuple[str, ...]:
+    return (*_code_flags(to, zig=zig), *_STRICT, *_link_flags(kind, to, zig=zig))
 
 
 def _code_flags(to: Platform, *, zig: bool) -> list[str]:
@@ -251,9 +252,12 @@ def _link_flags(kind: str, to: Platform, *, zig: bool) -> list[str]:
     return [to.library, *to.link_flags, *more]
 
 
-def _digest(kind: str, sources: dict[str, bytes], flags: list[str], to: Platform, version: str) -> str:
-    """Hash of what decides the bytes of a binary."""
-    made_of = (kind, tuple(sources.items()), flags, to.targets, to.name, version)
+@functools.lru_cache(maxsize=64)
+def _digest(
+    kind: str, sources: tuple[tuple[str, bytes], ...], flags: tuple[str, ...], to: Platform, version: str
+) -> str:
+    """Hash of what decides the bytes of a binary; known for a kind that was exported before."""
+    made_of = (kind, sources, list(flags), to.targets, to.name, version)
     return hashlib.sha256(repr(made_of).encode()).hexdigest()[:24]
 
 

@@ -25,6 +25,7 @@ from .description_xml import integer_range, product_version, record_entries
 from .sources import fmi_sources, gather_sources, record_source
 
 _C = Path(__file__).resolve().parents[1] / "c"
+_FRONT = (_C / "dll" / "real_code.c", _C / "dll" / "real_code_data.c")
 _LAYER = ("fmi2_common", "fmi2_cs", "fmi2_values", "instance", "placement", "solver")
 _MARK = b"interarea-record"
 _LEAST_ROOM = 1 << 14
@@ -135,7 +136,7 @@ def dll_sources(block: Sequence[Path], record_size: int) -> dict[str, bytes]:
         room *= 2
     layer = tuple(p for p in fmi_sources() if p.stem in _LAYER)
     size = _C / "dll" / "real_code_size.h"
-    sources = gather_sources((*layer, *sorted((_C / "dll").glob("*.c")), *block, record_source()))
+    sources = gather_sources((*layer, *_FRONT, *block, record_source()))
     sources[size.name] = sources[size.name].replace(b"16384", str(room).encode())
     if any(path.name == "chain.c" for path in block):  # whose members are of both kinds
         sources["instance.h"] = b"#define RECORDS_SAY_SAMPLED\n" + sources["instance.h"]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import re
 from collections.abc import Mapping
+from functools import cache as forever
 from pathlib import Path
 
 from ..errors import BuildError
@@ -12,6 +13,7 @@ from ..errors import BuildError
 _C = Path(__file__).resolve().parents[1] / "c"
 
 
+@forever
 def fmi_sources() -> tuple[Path, ...]:
     """Return the C files of the FMI layer, which is the same for every block."""
     return tuple(sorted(_C.glob("*.c")))
@@ -124,6 +126,7 @@ def record_source() -> Path:
     return _block_folder() / "record.c"
 
 
+@forever
 def _block_folder() -> Path:
     """Folder of block.h and record.c."""
     spec = importlib.util.find_spec("interarea.models")

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from interarea.fmu_build.check.check import CheckError, check_file
+from interarea.fmu_build.open.real_code import REQUIRED
 from interarea.fmu_build.write.cache import COMPILERS_OWN
 from interarea.fmu_build.write.compile import SYSTEM_LIBRARIES
 from interarea.fmu_build.write.real_code import build_dll
@@ -29,7 +30,7 @@ REPORTED = {
     "CALLS": ("DLL repeated calls", "called five times gives another run"),
     "TIME_BACK": ("DLL restart", "does not begin the same run"),
     "NOT_A_NUMBER": ("DLL errors", "after finite inputs with return code 0"),
-    "NO_TERMINATE": ("run: description", "it does not have Model_Terminate"),
+    "NO_TERMINATE": ("DLL functions", "it does not have Model_Terminate"),
     "LEAK": ("DLL memory", "an instance started and terminated loses 2"),
     "SHARED_TEXT": ("DLL messages", "one text that all instances share"),
     "OUTSIDE_STATES": ("DLL snapshots", "continued from its state arrays it runs otherwise"),
@@ -81,24 +82,43 @@ def test_every_defect_of_the_source_is_tried() -> None:
     assert set(DEFECTS) == set(REPORTED) | {"NONE", "NO_PARAMETERS", "BITS"}
 
 
-def test_bits_that_are_not_those_of_the_folder(tmp_path: Path) -> None:
-    """A library for 32 bits where one for 64 belongs: only its header is read."""
-    head = b"MZ" + bytes(58) + struct.pack("<I", 64) + b"PE\0\0" + struct.pack("<H", 0x14C) + bytes(64)
+def windows_dll(functions: tuple[str, ...]) -> bytes:
+    """Return the headers of a 32-bit Windows DLL that exports these functions, and nothing else."""
+    names = b"".join(name.encode() + b"\0" for name in functions)
+    at = [
+        0x100 + 40 + 4 * len(functions) + sum(len(n) + 1 for n in functions[:k])
+        for k in range(len(functions))
+    ]
+    table = struct.pack("<10I", *[0] * 6, len(functions), 0, 0x100 + 40, 0) + struct.pack(f"<{len(at)}I", *at)
+    optional = struct.pack("<H", 0x10B) + bytes(94) + struct.pack("<I", 0x100) + bytes(12)
+    section = bytes(8) + struct.pack("<4I", 0x1000, 0x100, 0x1000, 0x100) + bytes(16)
+    coff = struct.pack("<HHIIIHH", 0x14C, 1, 0, 0, 0, len(optional), 0x2000)
+    head = b"MZ" + bytes(58) + struct.pack("<I", 64) + b"PE\0\0" + coff + optional + section
+    return head + bytes(0x100 - len(head)) + table + names
+
+
+def test_a_library_for_another_machine_is_read_by_its_header(tmp_path: Path) -> None:
+    """32 bits where 64 belong, and functions that are not there."""
     (tmp_path / "win64").mkdir()
     file = tmp_path / "win64" / "lag.dll"
-    file.write_bytes(head)
+    file.write_bytes(windows_dll(REQUIRED))
     (finding,) = check_file(file).findings
     assert finding.rule == "DLL bits" and "has 32 bits; its name or folder says 64" in finding.message
     file = tmp_path / "lag.dll"
-    file.write_bytes(head)
-    assert check_file(file).verdict.startswith("not run (a 32-bit library for Windows cannot be loaded here)")
+    file.write_bytes(windows_dll(REQUIRED))
+    words = "not run (a 32-bit library for Windows (x86) cannot be loaded here)"
+    assert check_file(file).verdict.startswith(words)
+    file.write_bytes(windows_dll(REQUIRED[:-1]))
+    (finding,) = check_file(file).findings
+    assert finding.rule == "DLL functions" and finding.message.endswith("does not have Model_Terminate")
 
 
 def test_files_that_are_no_dll(tmp_path: Path) -> None:
     text = tmp_path / "x.dll"
-    text.write_text("hello")
-    (finding,) = check_file(text).findings
-    assert finding.rule == "DLL file" and "neither a Windows nor a Linux library" in finding.message
+    for content in (b"hello", b"MZ" + bytes(62), windows_dll(REQUIRED)[:0x110]):
+        text.write_bytes(content)
+        (finding,) = check_file(text).findings
+        assert finding.rule == "DLL file" and "cannot be read: " in finding.message
     with pytest.raises(CheckError):
         check_file(tmp_path / "missing.dll")
 
