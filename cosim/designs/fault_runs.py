@@ -108,8 +108,11 @@ class FaultRuns:
         with suppress(BuildError):
             self._library = plant_group(plant_sources(case), cache=cache)
         angles = {f"{m.name}_delta" for m in case.machines}
+        names = [s.variable.name for s in shown_of(case)]
+        #: input of a controller -> output of the plant, where a linear model has `_` for its dot
+        self._dotted = {name.replace(".", "_"): name for name in names if "." in name}
         # a large grid shows them when asked
-        self._show = [] if angles <= {s.variable.name for s in shown_of(case)} else ["*_delta"]
+        self._show = [] if angles <= set(names) else ["*_delta"]
         first, last = case.machines[0].name, case.machines[-1].name
         self._swing = Swing(first, last, "not looked at")
         self._live: dict[tuple[int, int, tuple[str, ...]], dict[str, FmuParticipant]] = {}
@@ -184,7 +187,13 @@ class FaultRuns:
         return float(np.ptp(angles, axis=0).max()) if ended else float(np.inf)
 
     def _scenario(self, run: GridRun) -> Scenario:
-        return load_scenario(run.document() | ({"show": self._show} if self._show else {}))
+        document = run.document() | ({"show": self._show} if self._show else {})
+        for name, channel in document.get("channels", {}).items():
+            if (signal := channel["signal"]) in self._dotted:
+                del channel["signal"]
+                path = [f"plant.{self._dotted[signal]}", name, f"controller.{signal}"]
+                document.setdefault("connections", []).append(path)
+        return load_scenario(document)
 
     def _master(self, lane: int, run: GridRun, scenario: Scenario) -> Master:
         system = system_of(

@@ -18,7 +18,6 @@ from interarea.models.case.case import Case
 from interarea.models.errors import InterareaError
 from interarea.models.files import temporary_folder, write_whole
 
-from ..designs.acceptance import FaultPlace
 from ..designs.family import at_point
 from ..errors import machine_error
 from .automatic import Report
@@ -109,6 +108,22 @@ def study_links(
     return study
 
 
+def link_designs(
+    weak: WeakModes, cache: Path, clock: Clock, *, points: int = POINTS, faults: int = FAULTS
+) -> LinkDesigns:
+    """Return what designs loops of a grid at so many operating points, judged by faults at so many places."""
+    tried = tried_points(weak, cache, clock)
+    least = {row.point.name: row.least for row in tried}
+    base, *others = chosen_points(tried)
+    kept = [base, *sorted(others, key=lambda point: least[point.name])[: points - 1]]
+    cases = {point.name: at_point(weak.case, point) for point in kept}
+    places = acceptance_of(weak, tried, kept[:1], faults).fault
+    nodes = offset_of(weak, tried, set(cases), ENOUGH)
+    asked = [(at, SLOW if at < SLOW_TO else value) for at, value in nodes]
+    offsets = BandOffsets(*(tuple(column) for column in zip(*asked, strict=True)))
+    return LinkDesigns(weak, cases, offsets, places, cache)
+
+
 class _GridLinks:
     """The sets of loops of one grid as they come."""
 
@@ -118,8 +133,6 @@ class _GridLinks:
         self.weak: WeakModes | None = None
         self.designs: LinkDesigns | None = None
         self.sets: list[LinkSet] = []
-        self.points: dict[str, Case] = {}
-        self.faults: tuple[FaultPlace, ...] = ()
 
     def add(self, size: int, progress: Any) -> None:
         """Design the best set of so many loops, where there is one and time for it."""
@@ -142,16 +155,7 @@ class _GridLinks:
         if self.designs is None:
             choices = Choices(grid=self.name, most_actuators=MOST_LOOPS, effort=EFFORT)
             self.weak = weak_modes(modes_of_grid(self.case, self.cache), choices)
-            tried = tried_points(self.weak, self.cache, self.clock)
-            least = {row.point.name: row.least for row in tried}
-            base, *others = chosen_points(tried)
-            kept = [base, *sorted(others, key=lambda point: least[point.name])[: POINTS - 1]]
-            self.points = {point.name: at_point(self.case, point) for point in kept}
-            self.faults = acceptance_of(self.weak, tried, kept[:1], FAULTS).fault
-            nodes = offset_of(self.weak, tried, set(self.points), ENOUGH)
-            asked = [(at, SLOW if at < SLOW_TO else value) for at, value in nodes]
-            offsets = BandOffsets(*(tuple(column) for column in zip(*asked, strict=True)))
-            self.designs = LinkDesigns(self.weak, self.points, offsets, self.faults, self.cache)
+            self.designs = link_designs(self.weak, self.cache, self.clock)
         return self.designs
 
     def _designed(self, designs: LinkDesigns, chosen: LoopSet, progress: Any) -> LinkSet:
@@ -186,8 +190,8 @@ class _GridLinks:
             if weakest is None
             else {"frequency_hz": weakest.frequency_hz, "damping_ratio": weakest.damping_ratio},
             "effort": None if self.weak is None else self.weak.choices.effort,
-            "points": list(self.points),
-            "faults": [str(fault) for fault in self.faults],
+            "points": [] if self.designs is None else list(self.designs.plants),
+            "faults": [] if self.designs is None else [str(fault) for fault in self.designs.faults],
             "conclusion": self.problem or conclusion(self.sets),
             "sets": [
                 {

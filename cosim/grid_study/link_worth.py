@@ -42,6 +42,27 @@ _LONGEST_CYCLES, _RESOLUTION_CYCLES, _FAULT_S, _STOP_S = 30.0, 0.15, 1.0, 8.0
 
 
 @dataclass(frozen=True)
+class LoopTerms:
+    """What loops may do. effort : output over signal, at most; None: as the choices of the grid have it, pu
+    per rad/s. near : signals beside own machines' speeds that are neither late nor lost.
+    """
+
+    effort: float | None = None
+    limit_pu: float = LIMIT_PU  #: of each output
+    near: tuple[str, ...] = ()
+    starts: int | None = (
+        None  #: first guesses of a search; None: two, `OWN_STARTS` without a controller to start from
+    )
+
+    def guesses(self, own: Controller | None) -> int:
+        """Return how many first guesses a search has that starts from `own` too."""
+        return self.starts or (OWN_STARTS if own is None else 2)
+
+
+LOOP_TERMS = LoopTerms()
+
+
+@dataclass(frozen=True)
 class LinkRow:
     """What a set of loops reaches with some signals at one latency, the least of all operating points.
 
@@ -130,21 +151,26 @@ class LinkDesigns:
         self.case: Case = weak.case
         self._offsets = offsets
         self._plants = {name: FamilyPlant.of(case, (), (), cache) for name, case in points.items()}
+        self.plants = {point: plant.judged for point, plant in self._plants.items()}  #: full, to judge by
         self._of = (
             content_hash({n: c.hash for n, c in points.items()}, asdict(offsets)),
             code_hash(__name__),
         )
 
     def designed(
-        self, sees: Mapping[str, tuple[str, ...]], latency_ms: int = 0, own: Controller | None = None
+        self,
+        sees: Mapping[str, tuple[str, ...]],
+        latency_ms: int = 0,
+        own: Controller | None = None,
+        terms: LoopTerms = LOOP_TERMS,
     ) -> Controller:
         """Return a controller of loops that see so much (`signals_of_set`), searched from `own` too."""
-        effort = self.weak.choices.effort
+        effort = self.weak.choices.effort if terms.effort is None else terms.effort
         known = None if own is None else own.as_dict()
-        key = content_hash(*self._of, dict(sees), latency_ms, effort, known)
+        key = content_hash(*self._of, dict(sees), latency_ms, effort, known, asdict(terms))
 
         def made() -> dict[str, Any]:
-            return self._designed(sees, latency_ms, effort, own).as_dict()
+            return self._designed(sees, latency_ms, replace(terms, effort=effort), own).as_dict()
 
         return Controller.from_dict(cached_json(self.cache, "link-design", key, made))
 
@@ -167,6 +193,7 @@ class LinkDesigns:
         latency_ms: int,
         controller: Controller,
         own: Controller | None = None,
+        terms: LoopTerms = LOOP_TERMS,
     ) -> LinkRow:
         """Return what a controller reaches, or `own` where that is better with the other signals unused.
 
@@ -175,23 +202,26 @@ class LinkDesigns:
         own_system = None if own is None else _seeing(own.system, _speeds(sees))
         faults = [fault.model_dump(mode="json") for fault in self.faults]
         known = None if own is None else own.as_dict()
-        key = content_hash(*self._of, controller.as_dict(), known, dict(sees), latency_ms, faults)
+        key = content_hash(
+            *self._of, controller.as_dict(), known, dict(sees), latency_ms, faults, asdict(terms)
+        )
 
         def made() -> dict[str, Any]:
             tried = [controller.system, *([] if own_system is None else [own_system])]
-            conditions = _conditions(sees, latency_ms)
+            conditions = _conditions(sees, latency_ms, terms.near)
             best = max(tried, key=lambda K: _reached(self._judge(K, conditions)))
-            row = self._judged_row(best, sees, latency_ms)
+            row = self._judged_row(best, sees, latency_ms, terms.near)
             if self.faults and latency_ms in CLEARED_MS:
-                taken = Controller("link", best, LIMIT_PU)
-                row["clearing_cycles"] = self._clearing_change(taken, sees, latency_ms)
+                taken = Controller("link", best, terms.limit_pu)
+                late = dict.fromkeys(_from_others(sees, terms.near), 1e-3 * latency_ms)
+                row["clearing_cycles"] = self._clearing_change(taken, late)
             return row
 
         row = cached_json(self.cache, "link-row", key, made)
         return LinkRow(tuple(sees), signals, dict(sees), latency_ms, **row)
 
     def _designed(
-        self, sees: Mapping[str, tuple[str, ...]], latency_ms: int, effort: float, own: Controller | None
+        self, sees: Mapping[str, tuple[str, ...]], latency_ms: int, terms: LoopTerms, own: Controller | None
     ) -> Controller:
         """Return the best of the search, the own-signal controller and none at all.
 
@@ -202,7 +232,8 @@ class LinkDesigns:
             point: replace(plant, signals=signals, actuators=actuators)
             for point, plant in self._plants.items()
         }
-        conditions = _conditions(sees, latency_ms)
+        conditions = _conditions(sees, latency_ms, terms.near)
+        assert terms.effort is not None
         tried, start = [_none(signals, actuators)], None
         if own is not None and own.system.nstates == STATES * len(sees):
             start = _seeing(own.system, signals)
@@ -213,15 +244,15 @@ class LinkDesigns:
                 dict(sees),
                 conditions,
                 offsets=offsets,
-                effort=effort,
+                effort=terms.effort,
                 start=start,
-                starts=OWN_STARTS if own is None else 2,
+                starts=terms.guesses(own),
             )
             if searched is not None and np.isfinite(_reached(self._judge(searched, conditions))):
                 tried.append(searched)
                 break
         best = max(tried, key=lambda K: _reached(self._judge(K, conditions)))
-        return Controller("link", best, LIMIT_PU)
+        return Controller("link", best, terms.limit_pu)
 
     def _steady(self) -> BandOffsets:
         """Return offsets that leave no slow root unstable where little inter-area damping is reached."""
@@ -233,24 +264,46 @@ class LinkDesigns:
 
     def _judge(self, K: control.StateSpace, conditions: Sequence[Condition]) -> FamilyCertificate:
         bands = {point: inter_area_band(plant.modes) for point, plant in self._plants.items()}
-        plants = {point: plant.judged for point, plant in self._plants.items()}
-        return judge_family(plants, K, conditions, bands_hz=bands)
+        return judge_family(self.plants, K, conditions, bands_hz=bands)
+
+    def from_others(self, sees: Mapping[str, tuple[str, ...]], terms: LoopTerms) -> tuple[str, ...]:
+        """Return the signals of a set that come over a link."""
+        return _from_others(sees, terms.near)
+
+    def effort(self, K: control.StateSpace) -> float:
+        """Return the largest gain of a loop from noise on its signals, nothing lost; inf: not stable."""
+        judged = self._judge(K, [Condition("N")])
+        return judged.effort if all(row.stable for row in judged.rows) else float("inf")
+
+    def worst_lost(
+        self,
+        K: control.StateSpace,
+        sees: Mapping[str, tuple[str, ...]],
+        latency_ms: int,
+        terms: LoopTerms,
+    ) -> str | None:
+        """Return the signal whose loss leaves least, the rest late; an unstable loop is the least."""
+        losses = _losses(sees, latency_ms, terms.near)
+        if not losses:
+            return None
+        rows = self._judge(K, losses).rows
+        worst = min(rows, key=lambda row: (row.stable, row.inter_area))
+        return next(one.lost[0] for one in losses if one.name == worst.condition)
 
     def _judged_row(
-        self, K: control.StateSpace, sees: Mapping[str, tuple[str, ...]], latency_ms: int
+        self,
+        K: control.StateSpace,
+        sees: Mapping[str, tuple[str, ...]],
+        latency_ms: int,
+        near: tuple[str, ...],
     ) -> dict[str, Any]:
         """Return the numbers of a row, clearing time apart."""
-        conditions, losses = _conditions(sees, latency_ms), _losses(sees, latency_ms)
+        conditions, losses = _conditions(sees, latency_ms, near), _losses(sees, latency_ms, near)
         judged = self._judge(K, [*conditions, *losses])
         names = [condition.name for condition in conditions]
         least = {name: min(row.inter_area for row in judged.rows if row.condition == name) for name in names}
         steady = [row for row in judged.rows if row.condition in names]
         lost = [row for row in judged.rows if row.condition not in names]
-        tripped = [f for f in self.faults if f.trip]
-        rise = None
-        if tripped:
-            fault = FaultTable(bus=tripped[0].bus, branch=str(tripped[0].trip))
-            rise = common_rises([self.case], fault, {"": K}, self.cache)[""]
         return {
             "there": least[names[0]],
             "late": least[names[-1]],
@@ -258,16 +311,21 @@ class LinkDesigns:
             "lost_stable": all(row.stable for row in lost),
             "worst_swing": min(row.worst_swing for row in steady),
             "effort": judged.effort,
-            "common_rise_pu": rise,
+            "common_rise_pu": self._common_rise(K, sees),
         }
 
-    def _clearing_change(
-        self, controller: Controller, sees: Mapping[str, tuple[str, ...]], latency_ms: int
-    ) -> float | None:
-        """Return the mean change of the clearing times against no control, cycles."""
+    def _common_rise(self, K: control.StateSpace, sees: Mapping[str, tuple[str, ...]]) -> float | None:
+        """Return the mean answer to the common rise after the first fault with a trip, of speeds alone."""
+        tripped = next((fault for fault in self.faults if fault.trip), None)
+        if tripped is None or not all(signal.endswith("_dw") for signal in _speeds(sees)):
+            return None
+        fault = FaultTable(bus=tripped.bus, branch=str(tripped.trip))
+        return common_rises([self.case], fault, {"": K}, self.cache)[""]
+
+    def _clearing_change(self, controller: Controller, late: Mapping[str, float]) -> float | None:
+        """Return the mean change of the clearing times against no control, cycles; late : signal -> s."""
         if not controller.system.nstates:
             return 0.0
-        late = dict.fromkeys(_from_others(sees), 1e-3 * latency_ms)
         without = self._clearing(None, {})
         controlled = self._clearing(controller, late)
         return float(np.mean([b - a for a, b in zip(without, controlled, strict=True)]))
@@ -311,26 +369,30 @@ def _speeds(sees: Mapping[str, tuple[str, ...]]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(signal for seen in sees.values() for signal in seen))
 
 
-def _from_others(sees: Mapping[str, tuple[str, ...]]) -> tuple[str, ...]:
-    """Return the signals that come over a link: those of no machine that an actuator is at.
+def _from_others(sees: Mapping[str, tuple[str, ...]], near: Sequence[str] = ()) -> tuple[str, ...]:
+    """Return the signals that come over a link: those of no machine that an actuator is at, `near` apart.
 
     >>> _from_others({"G2_vs": ("G2_dw", "G3_dw"), "G4_vs": ("G4_dw", "G1_dw")})
     ('G3_dw', 'G1_dw')
     """
-    at = {f"{actuator.removesuffix('_vs')}_dw" for actuator in sees}
+    at = {*near, *(f"{actuator.removesuffix('_vs')}_dw" for actuator in sees)}
     return tuple(signal for signal in _speeds(sees) if signal not in at)
 
 
-def _conditions(sees: Mapping[str, tuple[str, ...]], latency_ms: int) -> list[Condition]:
+def _conditions(
+    sees: Mapping[str, tuple[str, ...]], latency_ms: int, near: Sequence[str] = ()
+) -> list[Condition]:
     """Return what a design holds: nothing late, and other machines' signals late."""
-    late = dict.fromkeys(_from_others(sees), 1e-3 * latency_ms)
+    late = dict.fromkeys(_from_others(sees, near), 1e-3 * latency_ms)
     now = Condition("N")
     return [now, Condition("late", (), late)] if late and latency_ms else [now]
 
 
-def _losses(sees: Mapping[str, tuple[str, ...]], latency_ms: int) -> list[Condition]:
+def _losses(
+    sees: Mapping[str, tuple[str, ...]], latency_ms: int, near: Sequence[str] = ()
+) -> list[Condition]:
     """Return the loss of each signal of another machine, the rest late."""
-    others = _from_others(sees)
+    others = _from_others(sees, near)
     return [
         Condition(f"L:{lost}", (lost,), {s: 1e-3 * latency_ms for s in others if s != lost and latency_ms})
         for lost in others

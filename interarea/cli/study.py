@@ -47,7 +47,17 @@ def study(
     ] = True,
     grid: Annotated[
         list[str] | None,
-        typer.Option("--grid", metavar="GRID", help="of the study worth: a grid; again for more"),
+        typer.Option("--grid", metavar="GRID", help="of worth or actuators: a grid; of worth again for more"),
+    ] = None,
+    actuator: Annotated[
+        list[str] | None,
+        typer.Option("--actuator", metavar="KIND", help="of actuators: exciter, lcc, svc ..; again for more"),
+    ] = None,
+    mva: Annotated[
+        float | None,
+        typer.Option(
+            "--mva", metavar="MVA", help="of actuators: power of each device (else the least there)"
+        ),
     ] = None,
     json_: Annotated[bool, typer.Option("--json", help="print JSON instead of the files' names")] = False,
 ) -> None:
@@ -55,17 +65,26 @@ def study(
 
     Of a grid: exit code 1 where no controller that holds what is asked came out; the page has the reason.
     The study `worth` says of named grids whether a wide-area signal pays: worth.html, worth.parquet.
+    The study `actuators` says of one grid which kind of actuator damps it best: actuators.html.
     """
     from interarea.models.errors import UserError
 
     from .destination import folder_for
     from .grids import grid_of
 
+    if name == "actuators":
+        _study_actuators(out, dyr, minutes, grid or [], actuator or [], mva, json_=json_)
+        return
+    if actuator or mva is not None:
+        option = "--mva" if mva is not None else f"--actuator {(actuator or [''])[0]}"
+        raise UserError(f"{option}: goes with the study actuators, not with {name}; leave it out")
     if name == "worth":
         _study_worth(out, dyr, minutes, grid or [], json_=json_)
         return
     if grid:
-        raise UserError(f"--grid {grid[0]}: goes with the study worth, not with {name}; name one grid alone")
+        raise UserError(
+            f"--grid {grid[0]}: goes with the study worth or actuators, not with {name}; name one grid alone"
+        )
     folder_for(out, files=_FILES)
     choices = _choices_of(name, dyr, minutes)
     grid_dyr = None if choices.dyr is None else Path(choices.dyr)
@@ -112,6 +131,72 @@ def _study_worth(
             typer.echo(out / file)
     for one in result["grids"]:
         note(f"{one['grid']}: {one['conclusion']}")
+
+
+def _study_actuators(
+    out: Path,
+    dyr: Path | None,
+    minutes: float | None,
+    grids: list[str],
+    kinds: list[str],
+    mva: float | None,
+    *,
+    json_: bool,
+) -> None:
+    from interarea.cosim.actuator_study.study import (
+        FILES,
+        GRID,
+        MINUTES,
+        STAGES,
+        kinds_of,
+        study_actuators,
+    )
+    from interarea.fmu_build.write.cache import default_cache
+    from interarea.models.case.document import case_names
+    from interarea.models.errors import UserError
+
+    from .destination import folder_for
+    from .grids import grid_of
+
+    if dyr is not None:
+        raise UserError(
+            f"--dyr {dyr}: not with the study actuators; import the grid first, then --grid CASE.toml"
+        )
+    if len(grids) > 1:
+        raise UserError(f"--grid {grids[1]}: the study actuators takes one grid; leave it out")
+    if mva is not None and not 0.0 < mva < float("inf"):
+        raise UserError(f"--mva {mva:g}: allowed: above 0, the installed power of each device in MVA")
+    chosen = kinds_of(kinds)
+    folder_for(out, files=FILES)
+    name = grids[0] if grids else GRID
+    if (loaded := grid_of(name)) is None:
+        raise UserError(
+            f"--grid {name}: no grid, allowed: a case file, .raw, .m, or one of {', '.join(case_names())}"
+        )
+    minutes = minutes or MINUTES
+    options = [f"--grid {name}" for name in grids] + [f"--actuator {kind}" for kind in kinds]
+    options += [] if mva is None else [f"--mva {mva:g}"]
+    command = " ".join(["interarea study actuators", *options, f"--out {out} --minutes {minutes:g}"])
+    with stage_progress(STAGES) as report:
+        result = study_actuators(
+            loaded[0],
+            out,
+            default_cache(),
+            kinds=chosen,
+            mva=mva,
+            minutes=minutes,
+            command=command,
+            report=report,
+        )
+    files = [str(out / name) for name in FILES]
+    if json_:
+        summary = {"study": "actuators", "grid": name, "conclusion": result["conclusion"], "files": files}
+        typer.echo(json.dumps(summary, indent=2))
+    else:
+        for file in files:
+            typer.echo(file)
+    for line in result["conclusion"]:
+        note(line)
 
 
 def _choices_of(name: str, dyr: Path | None, minutes: float | None) -> Choices:
