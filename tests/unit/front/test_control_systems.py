@@ -110,6 +110,25 @@ def test_mixed_sensitivity_without_a_cost_of_control() -> None:
     assert np.abs(design.poles_of["normal"]).max() <= 2000.0 * 1.001
 
 
+@pytest.mark.slow
+def test_tracking_without_a_cost_of_control() -> None:
+    """python-control issue 152: hinfsyn took minutes to say that there is no controller.
+
+    There is one: with S = s/(s + k), of a PI controller, |W S| stays below its value at infinity, which
+    is 0.8 whatever the controller.
+    """
+    P = control.ss(
+        [[-0.01, -0.992], [0.0, -0.75]],
+        [[0.992, 0.0], [0.0, 1.0]],
+        [[1.0, -0.8], [0.0, -1.0]],
+        [[0.8, 0.0], [1.0, 0.0]],
+    )
+    design = ia.hinfsyn(P, 1, 1)
+    w = np.logspace(-5, 12, 3000)
+    peak = np.abs(closed(P, design.controller)(1j * w)).max()
+    assert design.gamma == pytest.approx(0.8, rel=1e-5) and peak == pytest.approx(0.8, rel=1e-4)
+
+
 def test_regions_hold() -> None:
     design = ia.hinfsyn(regulator(1.0), 1, 1, decay_rate=3.0, radius=50.0)
     poles = closed(regulator(1.0), design.controller).poles()
