@@ -17,14 +17,15 @@ from interarea.models.case.case import Case
 from ..designs.acceptance import FaultPlace
 from ..designs.fault_runs import FaultRun, FaultRuns
 from ..designs.first_swing import after_clearing
-from ..grid_study.link_worth import AFAR, OWN, LinkDesigns
+from ..grid_study.link_worth import AFAR, OWN, LinkDesigns, LoopTerms
 from .installed import Installed
 
 REMOTE = "remote"
 LATENCIES_MS = (0, 300, 100, 200, 50, 150, 250)  #: of remote signals, in the order in which there is time
-CLEAR_MS = (100, 200, 300)  #: how long the faults at each place last
-#: first guesses of a search, and of one that also starts from the controller of another latency
-STARTS, WARM_STARTS = 2, 1
+CLEAR_MS = (200, 400, 600)  #: how long the faults at each place last
+#: first guesses of a search: own signals, which are compared with; remote ones; and remote ones that start
+#: from the controller of another latency too
+OWN_STARTS, STARTS, WARM_STARTS = 8, 2, 1
 _FAULT_S, _LOST_S, _STOP_S = 1.0, 1.5, 15.0
 
 
@@ -85,9 +86,26 @@ class ActuatorCells:
     def cell(self, one: Installed, signals: str, latency_ms: int, near_to: Cell | None = None) -> Cell:
         """Return one cell. near_to : of the same actuator and signals, where the search starts from too."""
         sees = {one.actuator: one.sees[signals]}
-        terms = one.terms(signals, STARTS if near_to is None else WARM_STARTS)
+        first = OWN_STARTS if signals == "own" else STARTS
+        terms = one.terms(signals, first if near_to is None else WARM_STARTS)
         start = None if near_to is None else Controller.from_dict(near_to.controller)
         K = self._within(self.designs.designed(sees, latency_ms, start, terms), terms.effort)
+        return self._judged(one, signals, latency_ms, K, terms)
+
+    def own_again(self, one: Installed, own: Cell, remote: Sequence[Cell]) -> Cell:
+        """Return the own-signal cell of the best controller: that of `own`, or a remote one's part of it."""
+        signals = one.sees["own"]
+        if not remote or not set(signals) <= set(one.sees[REMOTE]):
+            return own
+        tried = [Controller.from_dict(cell.controller) for cell in (own, *remote)]
+        best = self.designs.best_own({one.actuator: signals}, tried)
+        terms = one.terms("own", OWN_STARTS)
+        K = self._within(replace(best, limit_pu=one.full), terms.effort)
+        again = self._judged(one, "own", 0, K, terms)
+        return again if again.least > own.least else own
+
+    def _judged(self, one: Installed, signals: str, latency_ms: int, K: Controller, terms: LoopTerms) -> Cell:
+        sees = {one.actuator: one.sees[signals]}
         row = self.designs.row(OWN if signals == "own" else AFAR, sees, latency_ms, K, None, terms)
         remote = self.designs.from_others(sees, terms)
         late = dict.fromkeys(remote, 1e-3 * latency_ms)

@@ -9,6 +9,7 @@ from typing import Any
 import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from interarea.models.files import write_whole
 
@@ -42,6 +43,7 @@ def _figure(study: Mapping[str, Any]) -> Figure:
         left.set_ylim(bottom=0.0)
         left.set_ylabel("inter-area damping ratio")
         right.set_ylabel("faults survived, worst loss")
+        right.yaxis.set_major_locator(MaxNLocator(integer=True))
         for axes in (left, right):
             axes.set_xlabel("latency of remote signals (ms)")
         left.legend(fontsize="small")

@@ -102,12 +102,22 @@ def study_actuators(
             near_to = started_from(cells, kind, ms) if signals == REMOTE else None
             cells.append(made.cell(compared[kind], signals, ms, near_to))
             _write(_with(study, cells), cells, out)
+        cells = _best_own(made, compared, cells)
         report(STAGES[1], 1.0)
     report(STAGES[2], 0.0)
     result = _with(study, cells)
     _write(result, cells, out)
     report(STAGES[2], 1.0)
     return result
+
+
+def _best_own(made: ActuatorCells, compared: Mapping[str, Installed], cells: Sequence[Cell]) -> list[Cell]:
+    """Return the cells, those of own signals judged anew by what remote ones use of the same signals."""
+    remote = {kind: [c for c in cells if c.kind == kind and c.signals == REMOTE] for kind in compared}
+    return [
+        cell if cell.signals == REMOTE else made.own_again(compared[cell.kind], cell, remote[cell.kind])
+        for cell in cells
+    ]
 
 
 def kinds_of(names: Sequence[str]) -> tuple[str, ...]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import control
@@ -13,7 +14,7 @@ import pytest
 from command_line import invoke
 
 import interarea as ia
-from interarea.cosim.actuator_study.cells import Cell
+from interarea.cosim.actuator_study.cells import ActuatorCells, Cell
 from interarea.cosim.actuator_study.installed import FULL_AT, SHARE, Installed, installed, ratings
 from interarea.cosim.actuator_study.study import FILES, actuator_rows, study_actuators
 from interarea.cosim.actuator_study.words import conclusion
@@ -120,6 +121,22 @@ def test_conclusions_follow_from_the_numbers() -> None:
         "LCC dc link: own signal 0.300, remote 0.310 at most; the own signal does as well: do not build this "
         "link",
     ]
+
+
+def test_a_rival_is_no_worse_than_remote_controllers_with_the_link_masked(
+    compared: dict[str, Installed], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    nothing = control.ss([], [], [], [[0.0]], inputs=["G4_dw"], outputs=["G4_vs"])
+    known = {"controller": Controller("link", nothing).as_dict()}
+    own, remote = (_cell("exciter", name, 0, 0.2, **known) for name in ("own", "remote"))
+    made = ActuatorCells.__new__(ActuatorCells)
+    masked = SimpleNamespace(best_own=lambda sees, tried: tried[1], effort=lambda K: 0.0)
+    monkeypatch.setattr(made, "designs", masked, raising=False)
+    for least, taken in ((0.3, 0.3), (0.1, 0.2)):
+        monkeypatch.setattr(made, "_judged", lambda *_, least=least: _cell("exciter", "own", 0, least))
+        assert made.own_again(compared["exciter"], own, [remote]).least == taken
+    # a device's own signal is none of its remote ones: nothing to mask
+    assert made.own_again(compared["lcc"], own, [remote]) is own
 
 
 @pytest.mark.parametrize(
