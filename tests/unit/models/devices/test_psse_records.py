@@ -11,7 +11,11 @@ from plant_shim import BlockShim
 
 from interarea.models.blocks.plant import event_parameters, plant_block
 from interarea.models.case.events import events_of
+from interarea.models.devices.dyr import device_for_dyr
+from interarea.models.devices.language.device import MBASE
+from interarea.models.devices.rest import rest_of
 from interarea.models.grid.equilibrium import operating_point
+from interarea.models.importers.dyr import read_dyr
 from interarea.models.importers.psse import import_psse
 
 HERE = Path(__file__).parent / "psse_records"
@@ -24,7 +28,10 @@ QUICK = ("GENROU", "GENSAL", "ESAC1A", "PSS2B")
     "name", [n if n in QUICK else pytest.param(n, marks=pytest.mark.slow) for n in RECORDS]
 )
 def test_the_plant_follows_psse(name):
-    """Within 2e-3 of the record's range: what PSS/E's own step of 5 ms leaves."""
+    """Within 2e-3 of the record's range: what PSS/E's own step of 5 ms leaves.
+
+    2.5e-3 for PSS2C, which was off for a while in PSS/E: its switch has a lag of 10 ms here.
+    """
     record = RECORDS[name]
     case = import_psse(HERE / record["raw"], HERE / record["dyr"]).case
     machine = next(m for m in case.machines if str(m.bus) == record["column"].split("_")[1])
@@ -45,4 +52,19 @@ def test_the_plant_follows_psse(name):
     wanted = np.array(record["value"])
     error = np.abs(np.interp(record["time_s"], times, values) - wanted)
     assert error[0] < 5e-5 * max(1.0, abs(wanted[0]))  # the start, digit for digit as printed
-    assert error.max() < 2e-3 * np.ptp(wanted)
+    assert error.max() < (2.5e-3 if name == "PSS2C" else 2e-3) * np.ptp(wanted)
+
+
+def test_pss2c_remembers_between_its_thresholds_whether_it_is_on() -> None:
+    """On above 0.895 pu, off below 0.885, between them as before; off it gives nothing."""
+    (record,) = [r for r in read_dyr(HERE / "OMIB_PSS2C.dyr").records if r.model == "PSS2C"]
+    result = device_for_dyr(record)
+    inputs = {"slip": 0.0, "pe": 0.9, "vt": 1.0, "pm": 0.9}
+    rest = rest_of(result.model, dict(result.parameters) | {MBASE: 100.0}, inputs, None, "x")
+    states = np.array(rest.states)
+    for on, pe, then in ((1, 0.9, 1), (1, 0.89, 1), (1, 0.88, 0), (0, 0.89, 0), (0, 0.9, 1)):
+        states[3:] = 1e-3
+        states[-1] = on
+        signals, rates = rest.instance.run(states, inputs | {"pe": pe})
+        assert on + 0.01 * rates[-1] == pytest.approx(then)
+        assert (signals["vs"] != 0.0) == bool(on)
