@@ -192,7 +192,11 @@ def test_cells_hold_numbers_that_other_paths_give(case: Case, tmp_path: Path) ->
 
 
 def _point(name: str) -> PointTable:
-    assert name.endswith(" out"), name
+    """Return an operating point by its name, "8-9 a out", "load +5 %" or "tie +100 MW"."""
+    if name.startswith("load "):
+        return PointTable(name=name, load_scale=1.0 + 0.01 * float(name.split()[1]))
+    if name.startswith("tie "):
+        return PointTable(name=name, tie_flow_mw=float(name.split()[1]))
     return PointTable(name=name, out=(name.removesuffix(" out"),))
 
 
