@@ -36,17 +36,17 @@ EXAMPLES = {
     "list": "interarea list --json",
     "cases": "interarea cases",
     "show": "interarea show lost-signal",
-    "new": "interarea new scenario --out mine.toml",
-    "modes": "interarea modes nets-nyps --band 0.1:2.5 --below 0.1",
-    "loops": "interarea loops nets-nyps --below 0.2 --together 4 --latency 0.1",
+    "new": "interarea new sweep --out sweep.toml",
+    "modes": "interarea modes two-area-thesis --band 0.1:2.5 --below 0.1",
+    "loops": "interarea loops two-area-thesis --below 0.2 --together 2 --latency 0.1",
     "run": "interarea run lost-signal --out out/run --explain",
-    "compare": "interarea compare none wide_area --scenario wide-area-damping --out out/compared",
-    "sweep": "interarea sweep examples/latency_loss.toml --out out/sweep",
+    "compare": "interarea compare none wide_area --scenario ring-down --out out/compared",
+    "sweep": "interarea sweep sweep.toml --out out/sweep",
     "maps": "interarea maps out/sweep",
-    "screen": "interarea screen two-area-thesis --clearing-times --out out/screen",
+    "screen": "interarea screen two-area-thesis --bus 8 --clearing-times --out out/screen",
     "explore": "interarea explore two-area-thesis --out page.html",
-    "design": "interarea design robust --out robust.json",
-    "certify": "interarea certify wide_area --acceptance",
+    "design": "interarea design robust_linear --no-worth --out robust.json",
+    "certify": "interarea certify wide_area --page certificate.html",
     "build": "interarea build two-area-thesis --platforms linux64,win64 --out fmus",
     "ssp": "interarea ssp lost-signal --out loop.ssp",
     "container": "interarea container lost-signal --out loop.fmu",
@@ -54,8 +54,24 @@ EXAMPLES = {
     "import": "interarea import grid.raw --dyr grid.dyr --out grid.toml",
     "export": "interarea export new-england --out grid.raw",
     "device": "interarea device tgov1 --set R=0.05 --set T1=0.5 --set T2=2 --set T3=7",
-    "meter": "interarea meter pmu.csv --case grid.toml --band 0.1:2",
-    "locate": "interarea locate pmu.csv --window 60:80",
+    "meter": "interarea meter out/run/trajectory.parquet --case two-area-thesis",
+    "locate": "interarea locate out/run/trajectory.parquet --frequency 0.6",
     "cache": "interarea cache --check",
-    "study": "interarea study thesis --out out/thesis --no-second-solver",
+    "study": "interarea study two-area-thesis --minutes 1 --out out/study",
 }
+
+#: command -> the command whose example writes what its own reads
+READS = {
+    "sweep": "new",
+    "maps": "sweep",
+    "check": "ssp",
+    "import": "export",
+    "meter": "run",
+    "locate": "run",
+}
+
+
+def last_lines(name: str) -> str:
+    """Return how a command's help ends: its example, whole on a line, and the one to run before it."""
+    before = f", after that of {READS[name]}" if name in READS else ""
+    return f"\b\nExample{before}:\n  {EXAMPLES[name]}"  # \b: the lines stay as they are

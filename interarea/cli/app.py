@@ -17,7 +17,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from .. import __version__
-from ..command_help import EXAMPLES, SUMMARIES
+from ..command_help import SUMMARIES, last_lines
 from .terminal import complain, say_warning, set_level, steady_streams
 
 INTERRUPTED = 130  #: exit code after Ctrl-C, as shells have it; of another signal N 128 + N
@@ -160,7 +160,7 @@ def load(name: str) -> Any:
     command, shared = typer.main.get_command(single), typer.Typer(add_completion=False, **_SETTINGS)
     shared.command()(_shared_options)
     command.params += [p for p in typer.main.get_command(shared).params if p.name in ("quiet", "verbose")]
-    command.epilog = f"Example: {EXAMPLES[name]}"
+    command.epilog = last_lines(name)
     return command
 
 

@@ -5,7 +5,8 @@
 Every command that starts a process, and `compare`, which spends its time in an FMU's callbacks, gets SIGINT,
 SIGTERM, SIGHUP and SIGKILL, sent to its own process alone. Five seconds later no process may live that it has
 started; its temporary folder is empty (after SIGKILL: once the next command has run); every file under its
-name is whole. `build` and `ssp` begin with an empty cache, so that compilers run.
+name is whole. `build` and `ssp` begin with an empty cache, so that compilers run. Of a process that
+lives on it says how much processor time it had since, which is little on a busy machine, and where it is.
 """
 
 from __future__ import annotations
@@ -96,7 +97,7 @@ def stopped(name: str, number: str, files: Path, wait_s: float) -> list[str]:
         out, own, cache = (Path(folder) / n for n in ("out", "tmp", "cache"))
         for made in (out, own):
             made.mkdir()
-        surroundings = {**os.environ, _MARK: mark, "TMPDIR": str(own)}
+        surroundings = {**os.environ, _MARK: mark, "TMPDIR": str(own), "PYTHONFAULTHANDLER": "1"}
         if name in EMPTY_CACHE:
             surroundings["INTERAREA_CACHE"] = str(cache)
         words = COMMANDS[name].format(files=files, out=out).split()
@@ -112,6 +113,7 @@ def stopped(name: str, number: str, files: Path, wait_s: float) -> list[str]:
             )
             with suppress(subprocess.TimeoutExpired):
                 main.wait(wait_s)
+            used_s = {process: processor_s(process) for process in living(mark)}
             sent_s = time.monotonic()
             main.send_signal(getattr(signal, number))
             try:
@@ -120,16 +122,24 @@ def stopped(name: str, number: str, files: Path, wait_s: float) -> list[str]:
                 code = None
         while (alive := living(mark)) and time.monotonic() < sent_s + LIMIT_S:
             time.sleep(0.05)
-        wrong = [f"lives {LIMIT_S:g} s later: {line}" for line in alive.values()]
-        for process in alive:
-            with suppress(ProcessLookupError):
-                os.kill(process, signal.SIGKILL)
+        since_s = {process: processor_s(process) - used_s.get(process, 0.0) for process in alive}
+        wrong = [
+            f"lives {LIMIT_S:g} s later, {since_s[process]:.1f} s of processor: {line}"
+            for process, line in alive.items()
+        ]
+        for number_of_death in (signal.SIGABRT, signal.SIGKILL):  # the first prints where Python is
+            for process in alive:
+                with suppress(ProcessLookupError):
+                    os.kill(process, number_of_death)
+            time.sleep(0.5 if alive else 0.0)
         main.wait()
         sent = getattr(signal, number)
         expected = (0, 128 + sent, -sent)  # the last: before the program began, or after it
         text = said.read_text(encoding="utf-8", errors="replace")
         if code not in expected and code is not None:
             wrong.append(f"exit code {code}: {text[-300:]}")
+        if alive:
+            wrong.append(text[-2000:])
         if "Traceback" in text or "Exception ignored" in text:
             wrong.append(f"a traceback: {text[-600:]}")
         if number == "SIGKILL":  # what it could not remove goes with the next command, whichever it is
@@ -145,6 +155,15 @@ def stopped(name: str, number: str, files: Path, wait_s: float) -> list[str]:
 
 def _command(words: Sequence[str]) -> list[str]:
     return [sys.executable, "-m", "interarea", *words]
+
+
+def processor_s(process: int) -> float:
+    """Return the processor time that a process has had, s; 0 of one that is gone (Linux)."""
+    try:
+        fields = Path(f"/proc/{process}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
+    except OSError:
+        return 0.0
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def living(mark: str) -> dict[int, str]:

@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 import os
-import re
-import shlex
 import signal
 import subprocess
 import sys
 import time
 import warnings
 from pathlib import Path
-from typing import Any
 
 import pytest
-from typer.testing import CliRunner
 
 from interarea.cli import app
 from interarea.cli.app import COMMANDS, load
-from interarea.command_help import EXAMPLES, SUMMARIES
 from interarea.cosim.run.artefacts import linear_matrices
 from interarea.models.case.case import load_case
 
@@ -31,39 +26,6 @@ def test_the_line_of_help_is_the_docstrings_first(name: str) -> None:
     assert command.name == name
     assert command.help.splitlines()[0] == COMMANDS[name][1]
     assert {"quiet", "verbose"} <= {p.name for p in command.params}
-
-
-def test_the_help_fits_80_columns_and_cuts_no_summary() -> None:
-    assert list(SUMMARIES) == list(COMMANDS)
-    done = CliRunner().invoke(app.app, ["--help"], terminal_width=80)
-    assert done.exit_code == 0 and max(map(len, done.stdout.splitlines())) <= 80
-    assert all(
-        re.search(rf"^  {name} +{re.escape(line)}$", done.stdout, re.M) for name, line in SUMMARIES.items()
-    )
-
-
-@pytest.mark.parametrize("name", COMMANDS)
-def test_a_commands_help_ends_with_an_example_that_parses(
-    name: str, tmp_path: Path, monkeypatch: Any
-) -> None:
-    program, command, *words = shlex.split(EXAMPLES[name])
-    assert (program, command) == ("interarea", name)
-    for word in words:
-        if word in ("grid.raw", "grid.dyr", "loop.ssp", "out/sweep", "examples/latency_loss.toml"):
-            (tmp_path / word).parent.mkdir(exist_ok=True)
-            (tmp_path / word).touch()
-    monkeypatch.chdir(tmp_path)
-    load(name).make_context(name, words)
-    done = CliRunner().invoke(app.app, [name, "--help"], terminal_width=80)
-    last = done.stdout.rstrip().rpartition("Example: ")[2]
-    assert " ".join(last.split()) == EXAMPLES[name]
-
-
-@pytest.mark.parametrize("name", ["list", "cases", "show", "new", "device"])
-def test_quick_examples_run(name: str, tmp_path: Path, monkeypatch: Any) -> None:
-    monkeypatch.chdir(tmp_path)
-    done = CliRunner().invoke(app.app, shlex.split(EXAMPLES[name])[1:])
-    assert done.exit_code == 0 and done.stdout.strip()
 
 
 def test_little_is_loaded_before_signals_are_handled() -> None:
