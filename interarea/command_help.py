@@ -57,7 +57,7 @@ EXAMPLES = {
     "meter": "interarea meter out/run/trajectory.parquet --case two-area-thesis",
     "locate": "interarea locate out/run/trajectory.parquet --frequency 0.6",
     "cache": "interarea cache --check",
-    "study": "interarea study two-area-thesis --minutes 1 --out out/study",
+    "study": "interarea study thesis --out out/thesis --no-second-solver",
 }
 
 #: command -> the command whose example writes what its own reads

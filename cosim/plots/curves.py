@@ -89,7 +89,8 @@ def save_figure(figure: Figure, path: Path, *, transparent: bool = False, outlin
     drawn = io.BytesIO()
     with mpl.rc_context(STYLE | ({} if outlines else {"svg.fonttype": "none"})), _nothing_ignored():
         figure.savefig(drawn, format=path.suffix[1:], transparent=transparent, metadata=metadata, dpi=160)
-    figure.set_layout_engine("none")  # laid out; saved in another form it need not be again
+    with mpl.rc_context({"figure.autolayout": False, "figure.constrained_layout.use": False}):
+        figure.set_layout_engine(None)  # laid out: saved again, it is drawn once instead of twice
     data = drawn.getvalue()
     if path.suffix == ".svg":  # a path on one line instead of one line a point
         data = re.sub(rb'(?<= d=")[^"]*', lambda d: b" ".join(d.group().split()), data)

@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from interarea.models.blocks.detector import Patterns
+from interarea.models.documents import DocumentError, read_document
 from interarea.models.errors import UserError
 from interarea.models.files import write_whole
 
@@ -72,10 +73,10 @@ def load_detector(path: str | Path) -> DetectorDesign:
 
     Raises
     ------
-    DetectorDesignError : no such file, or not one of `DetectorDesign.save`.
+    DetectorDesignError : no such file, no regular one, or not one of `DetectorDesign.save`.
     """
     try:
-        table: Any = json.loads(Path(path).read_text(encoding="utf-8"))
+        table: Any = json.loads(read_document(Path(path), "the file of a detector"))
         of, runs = table["detector"], table["runs"]
         basis = np.array(table["basis"], dtype=np.float64)
         if table["schema"] != _SCHEMA or basis.ndim != 3 or len(basis) != len(of["signals"]):
@@ -87,6 +88,8 @@ def load_detector(path: str | Path) -> DetectorDesign:
             *(float(table["interval_s"]), float(table["noise_pu"]), Patterns(basis, *numbers)),
             *(float(table["largest"]), int(runs["made_of"]), int(runs["judged_by"])),
         )
+    except DocumentError as error:
+        raise DetectorDesignError(f"{error}; `DetectorDesign.save` writes one") from None
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise DetectorDesignError(f"{path}: no file of a detector ({error}); design one") from None
 

@@ -136,11 +136,12 @@ def stopped(name: str, number: str, files: Path, wait_s: float) -> list[str]:
         sent = getattr(signal, number)
         expected = (0, 128 + sent, -sent)  # the last: before the program began, or after it
         text = said.read_text(encoding="utf-8", errors="replace")
-        if code not in expected and code is not None:
+        begun = (number, code) != ("SIGINT", 1) or "__main__.py" in text or "interarea: stopped" in text
+        if code not in expected and code is not None and begun:  # else it has met Python's own start
             wrong.append(f"exit code {code}: {text[-300:]}")
         if alive:
             wrong.append(text[-2000:])
-        if "Traceback" in text or "Exception ignored" in text:
+        if begun and ("Traceback" in text or "Exception ignored" in text):
             wrong.append(f"a traceback: {text[-600:]}")
         if number == "SIGKILL":  # what it could not remove goes with the next command, whichever it is
             subprocess.run(_command(["list"]), env=surroundings, check=True, capture_output=True)

@@ -62,6 +62,7 @@ def ran(tmp_path_factory: pytest.TempPathFactory, cache: Path) -> tuple[Path, se
 
 
 @pytest.mark.parametrize("name", RUNNING)
+@pytest.mark.timeout(1800)  # a design and a study take minutes
 def test_an_example_runs(name: str, ran: tuple[Path, set[str]], monkeypatch: pytest.MonkeyPatch) -> None:
     """In an empty folder, with nothing but what the example named in the same line has written."""
     folder, done = ran
