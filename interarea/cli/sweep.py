@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from interarea.cosim.errors import SweepError
+from interarea.models.documents import require_regular
 from interarea.progress import tell_runs
 
 from .study import OutFolder
@@ -46,6 +47,7 @@ def sweep(
     json_: Annotated[bool, typer.Option("--json", help="print JSON instead of lines")] = False,
 ) -> None:
     """Run a scenario over many parameters; a sweep that was stopped goes on where it was."""
+    require_regular(spec, "a sweep file", SweepError)  # before what takes seconds to load
     from interarea.cosim.sweep.front import run_sweep
 
     from .destination import folder_for

@@ -56,7 +56,6 @@ INPUTS = {
     "dynamic data": "study two-area-thesis --dyr input.dyr --out out",
     "RAWX": "import input.rawx --out out.toml",
     "scenario to compare on": "compare none robust --scenario input.toml --out out",
-    "controller to compare": "compare none input.json --scenario ring-down --out out",
     "controller to build": "build two-area-thesis --controller input.json --out out",
     "scenario to export": "container input.toml --out out.fmu",
     "COMTRADE in one file": "locate input.cff",
@@ -65,7 +64,7 @@ INPUTS = {
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("command", INPUTS.values(), ids=INPUTS)
-@pytest.mark.timeout(60)  # the first of a command imports, on a busy machine for long
+@pytest.mark.timeout(240)  # what hangs ends then; the first of a command imports, on a busy machine for long
 def test_what_is_no_regular_file_is_refused(
     kind: str, command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
