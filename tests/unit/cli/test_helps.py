@@ -15,7 +15,11 @@ from interarea.command_help import EXAMPLES, READS, SUMMARIES
 
 #: examples of a second or two; all others run in the slow half
 QUICK = ("list", "cases", "show", "new", "device", "export", "cache")
-RUNNING = [pytest.param(name, marks=() if name in QUICK else pytest.mark.slow) for name in COMMANDS]
+RUNNING = [
+    pytest.param(name, marks=() if name in QUICK else pytest.mark.slow)
+    for name in COMMANDS
+    if name != "design"
+]
 
 
 def _help(*words: str) -> str:
@@ -55,6 +59,13 @@ def test_a_commands_help_ends_with_its_example(name: str) -> None:
     assert _help(name).splitlines()[-2:] == [f"  Example{before}:", f"    {EXAMPLES[name]}"]
 
 
+def test_the_example_of_a_design_parses() -> None:
+    """Its search takes many minutes; designs of less run in `tests/unit/cosim/designs`."""
+    words = shlex.split(EXAMPLES["design"])[2:]
+    read = load("design").make_context("design", [*words]).params
+    assert words[0] in map(str, read.values())
+
+
 @pytest.fixture(scope="module")
 def ran(tmp_path_factory: pytest.TempPathFactory, cache: Path) -> tuple[Path, set[str]]:
     """A folder, and the commands whose examples have run there."""
@@ -62,12 +73,13 @@ def ran(tmp_path_factory: pytest.TempPathFactory, cache: Path) -> tuple[Path, se
 
 
 @pytest.mark.parametrize("name", RUNNING)
-@pytest.mark.timeout(1800)  # a design and a study take minutes
+@pytest.mark.timeout(1800)  # a study takes minutes
 def test_an_example_runs(name: str, ran: tuple[Path, set[str]], monkeypatch: pytest.MonkeyPatch) -> None:
     """In an empty folder, with nothing but what the example named in the same line has written."""
     folder, done = ran
     monkeypatch.chdir(folder)
     _run(name, done)
+    assert name in done
 
 
 def _run(name: str, done: set[str]) -> None:
