@@ -52,6 +52,9 @@ FUNCTIONS = {
     "read_record": "source: str | Path | pd.DataFrame, *, units: Mapping[str, str] | None = None, "
     "rate_hz: float | None = None, window_s: tuple[float, float] | None = None, fill_s: float = 0.5, "
     "frequency_hz: float = 60.0 -> Record",
+    "meter": "record: Record | str | Path | pd.DataFrame, case: Case | str | Path | None = None, *, "
+    "beside: Record | str | Path | pd.DataFrame | None = None, band_hz: tuple[float, float] = (0.1, 2.5), "
+    "quantity: str | None = None, channels: Sequence[str] = () -> Meter",
     "delay_margin": "loop: SystemLike, *, sign: int = -1, upto_s: float = 10.0 -> DelayMargin",
     "delayed_poles": "loop: SystemLike, latency_s: float | Sequence[float], *, sign: int = -1, "
     "right_of: float = -1.0, least: int = 1 -> npt.NDArray[np.complex128]",

@@ -34,6 +34,8 @@ _LEAST_ORDERS = 4  # at which a pole is there
 _MOST_DAMPED = 0.35
 _LEAST_SHARE = 0.01  # of the motion: less is no mode
 _SAME = 0.08  # of the distance of two poles over their size that are one mode by two methods
+_SAME_OF_ONE = 0.25  # the same where a signal passes little but one mode
+_FEW_ORDERS = [6, 8, 10, 12]  # of the model of such a signal
 _AR_ORDER, _AR_EQUATIONS = 8, 20
 _BLOCK_S, _MOST_BLOCKS, _LEAST_BLOCKS = 30.0, 20, 8
 
@@ -106,6 +108,36 @@ def ambient_modes(values: Array, step_s: float, band_hz: tuple[float, float]) ->
             estimates.append(_estimate(YULE_WALKER, covariances, other, again))
         modes.append(AmbientMode(pole, share, shape, order, tuple(e for e in estimates if e is not None)))
     return sorted(modes, key=lambda mode: -mode.share)
+
+
+def estimate_of_one(values: Array, step_s: float, band_hz: tuple[float, float]) -> Estimate | None:
+    """Return frequency and damping ratio of what is strongest in a band of one signal (points, 1).
+
+    For a signal that passes little but one mode, however well damped that is: the autoregression's pole next
+    to that with the largest share by subspaces. None where they differ.
+    """
+    rows = max(8, round(_LAG_S / step_s))
+    blocks = int(np.clip(len(values) * step_s / _BLOCK_S, _LEAST_BLOCKS, _MOST_BLOCKS))
+    covariances = _Covariances.of(values, max(2 * rows, 2 * _AR_ORDER + _AR_EQUATIONS), blocks)
+    R = covariances.all()
+    pole = _strongest(R, rows, step_s, band_hz)
+    if pole is None:
+        return None
+    own = _nearest(_yule_walker(R, step_s), pole, _SAME_OF_ONE)
+    if own is None:
+        return None
+    return _estimate(YULE_WALKER, covariances, own, partial(_yule_walker, step_s=step_s))
+
+
+def _strongest(R: Array, rows: int, step_s: float, band_hz: tuple[float, float]) -> complex | None:
+    """Return the pole with the largest share, the mean over a few orders; None where none is in the band."""
+    best = []
+    for poles, _, shares in _subspace(R, rows, _FEW_ORDERS, step_s):
+        f = poles.imag / (2.0 * np.pi)
+        share = np.where((f >= band_hz[0]) & (f <= band_hz[1]) & (poles.real < 0.0), shares, -np.inf)
+        if share.size and np.isfinite(share.max()):
+            best.append(poles[np.argmax(share)])
+    return complex(np.mean(best)) if best else None
 
 
 def _toeplitz(R: Array, rows: int) -> Array:
@@ -194,11 +226,11 @@ def _yule_walker(R: Array, step_s: float) -> ComplexArray:
     return np.asarray(np.log(discrete[(discrete.imag > 0.0) & (np.abs(discrete) > 1e-3)]) / step_s)
 
 
-def _nearest(poles: ComplexArray, to: complex) -> complex | None:
+def _nearest(poles: ComplexArray, to: complex, within: float = _SAME) -> complex | None:
     if not poles.size:
         return None
     best = complex(poles[np.argmin(np.abs(poles - to))])
-    return best if abs(best - to) <= _SAME * abs(to) else None
+    return best if abs(best - to) <= within * abs(to) else None
 
 
 def _estimate(

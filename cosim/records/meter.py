@@ -68,13 +68,16 @@ class Meter:
         rows = []
         for s in self.swings:
             row = {k: v for k, v in vars(s).items() if k not in ("estimates", "shape")}
-            row["estimates"] = [
-                {k: list(v) if isinstance(v, tuple) else v for k, v in vars(e).items()} for e in s.estimates
-            ]
+            row["estimates"] = [plain_estimate(e) for e in s.estimates]
             row["shape"] = {t: [abs(z), float(np.degrees(np.angle(z)))] for t, z in s.shape.items()}
             rows.append(row)
         plain = {k: v for k, v in vars(self).items() if k not in ("swings", "notes")}
         return {**plain, "level": LEVEL, "swings": rows, "notes": list(self.notes)}
+
+
+def plain_estimate(estimate: Estimate) -> dict[str, Any]:
+    """Return plain types, for JSON."""
+    return {k: list(v) if isinstance(v, tuple) else v for k, v in vars(estimate).items()}
 
 
 def meter(

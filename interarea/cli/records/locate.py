@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..terminal import busy, note, print_table
-from .options import Band, CaseName, RecordFile, Units, Window, band_of, opened
+from .options import Band, CaseName, RecordFile, Units, Window, band_of, case_named, opened
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -35,7 +35,7 @@ def locate(
 ) -> None:
     """Locate an oscillation: by the energy flow at each terminal and, with --case, by the grid's model."""
     region = band_of(band)
-    grid = _grid(case)
+    grid = case_named(case)
     record = opened(file, window, unit, grid.frequency_hz if grid else 60.0)
     flow, failed = _by_energy(file, record, region, frequency, grid)
     model = None
@@ -62,14 +62,6 @@ def locate(
         _print(flow)
     if model is not None:
         _print_model(model)
-
-
-def _grid(case: str | None) -> Case | None:
-    if case is None:
-        return None
-    from interarea.models.case.case import load_case
-
-    return load_case(case)
 
 
 def _by_energy(

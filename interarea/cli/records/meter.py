@@ -5,16 +5,17 @@ from __future__ import annotations
 import json
 from cmath import phase
 from math import degrees
-from typing import TYPE_CHECKING, Annotated
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
 from ..terminal import busy, note, print_table
-from .options import Band, CaseName, RecordFile, Units, Window, band_of, opened
+from .options import Band, CaseName, RecordFile, Units, Window, band_of, case_named, opened
 
 if TYPE_CHECKING:
+    from interarea.cosim.records.brought import Brought
     from interarea.cosim.records.meter import Meter, Swing
-    from interarea.design.modes.modes import Mode
 
 _SHOWN = 4  #: terminals of a shape
 
@@ -32,41 +33,44 @@ def meter(
     channel: Annotated[
         list[str] | None, typer.Option("--channel", metavar="NAME", help="look at this channel alone; repeat")
     ] = None,
+    beside: Annotated[
+        Path | None,
+        typer.Option(
+            "--beside",
+            metavar="FILE",
+            help="the record without the controller that FILE has: what damping it brought",
+        ),
+    ] = None,
     window: Window = None,
     unit: Units = None,
     json_: Annotated[bool, typer.Option("--json", help="print JSON instead of a table")] = False,
 ) -> None:
     """Meter a record: what swings, how damped by two methods, forced or modal, which mode of a case."""
-    from interarea.cosim.records.meter import meter as metered
+    from interarea.records import meter as metered
 
     region = band_of(band)
-    named, frequency_hz = _modes(case, region)
+    grid = case_named(case)
+    frequency_hz = grid.frequency_hz if grid else 60.0
     record = opened(file, window, unit, frequency_hz)
+    other = None if beside is None else opened(beside, None, unit, frequency_hz)
     with busy(f"metering {file.name}"):
-        result = metered(record, band_hz=region, quantity=quantity, channels=channel or (), modes=named)
+        result = metered(
+            record, grid, beside=other, band_hz=region, quantity=quantity, channels=channel or ()
+        )
     for line in result.notes[len(record.notes) :]:
         note(f"{file.name}: {line}")
     if json_:
         typer.echo(json.dumps(result.as_dict(), indent=2, allow_nan=False))
         return
     _print(result, case)
+    if other is not None:
+        _print_brought(cast("Brought", result), case)
 
 
-def _modes(case: str | None, band_hz: tuple[float, float]) -> tuple[tuple[Mode, ...], float]:
-    """Return all modes of a case in a band and its frequency, Hz."""
-    if case is None:
-        return (), 60.0
-    from interarea.cosim.run.artefacts import sparse_linear_plant
-    from interarea.design.modes.all_modes import all_modes
-    from interarea.fmu_build.write.cache import default_cache
-    from interarea.models.case.case import load_case
-
-    loaded = load_case(case)
-    with busy(f"all modes of {loaded.name}"):
-        modes = all_modes(
-            sparse_linear_plant(loaded, default_cache()), loaded.areas, band_hz=band_hz, below=0.3
-        )
-    return modes.modes, loaded.frequency_hz
+def _print_brought(result: Brought, case: str | None) -> None:
+    _print(result.beside, case)
+    for line in (*(d.sentence for d in result.differences), *result.new):
+        typer.echo(line)
 
 
 def _print(result: Meter, case: str | None) -> None:

@@ -11,6 +11,7 @@ from ..terminal import note, two_numbers
 
 if TYPE_CHECKING:
     from interarea.cosim.records.record import Record
+    from interarea.models.case.case import Case
 
 RecordFile = Annotated[
     Path,
@@ -51,6 +52,15 @@ def opened(file: Path, window: str | None, units: list[str] | None, frequency_hz
     for line in record.notes:
         note(f"{file.name}: {line}")
     return record
+
+
+def case_named(name: str | None) -> Case | None:
+    """Return the case of `--case`; None without it."""
+    if name is None:
+        return None
+    from interarea.models.case.case import load_case
+
+    return load_case(name)
 
 
 def band_of(text: str | None) -> tuple[float, float]:

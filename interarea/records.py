@@ -1,0 +1,69 @@
+"""Public functions on records of measurements."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from interarea.cosim.records.brought import brought
+from interarea.cosim.records.meter import Meter
+from interarea.cosim.records.meter import meter as metered
+from interarea.cosim.records.read import read_record
+from interarea.cosim.records.record import Record
+from interarea.grids import case_like
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from interarea.design.modes.modes import Mode
+    from interarea.models.case.case import Case
+
+
+def meter(
+    record: Record | str | Path | pd.DataFrame,
+    case: Case | str | Path | None = None,
+    *,
+    beside: Record | str | Path | pd.DataFrame | None = None,
+    band_hz: tuple[float, float] = (0.1, 2.5),
+    quantity: str | None = None,
+    channels: Sequence[str] = (),
+) -> Meter:
+    """Return what swings in a record, how damped it is, and whether it is forced.
+
+    As the command ``interarea meter`` does.
+
+    Parameters
+    ----------
+    record : a `Record`, or what `read_record` takes.
+    case : whose modes give the swings their names: a `Case`, a bundled name or a file.
+    beside : a record without the controller that `record` has: the result also has `differences` of the
+        damping ratios with intervals, a `sentence` on them, and `beside`, the result of that record.
+    band_hz : frequencies that are looked at, Hz. quantity, channels : what is looked at.
+
+    Raises
+    ------
+    UserError : nothing that swings, records too short, or the same record twice.
+    """
+    grid = None if case is None else case_like(case)
+    frequency_hz = 60.0 if grid is None else grid.frequency_hz
+    modes = () if grid is None else modes_in(grid, band_hz)
+    one = _record(record, frequency_hz)
+    if beside is None:
+        return metered(one, band_hz=band_hz, quantity=quantity, channels=channels, modes=modes)
+    other = _record(beside, frequency_hz)
+    return brought(one, other, band_hz=band_hz, quantity=quantity, channels=channels, modes=modes)
+
+
+def modes_in(case: Case, band_hz: tuple[float, float]) -> tuple[Mode, ...]:
+    """Return all modes of a case in a band, damped by less than 0.3."""
+    from interarea.cosim.run.artefacts import sparse_linear_plant
+    from interarea.design.modes.all_modes import all_modes
+    from interarea.fmu_build.write.cache import default_cache
+
+    plant = sparse_linear_plant(case, default_cache())
+    return all_modes(plant, case.areas, band_hz=band_hz, below=0.3).modes
+
+
+def _record(source: Record | str | Path | pd.DataFrame, frequency_hz: float) -> Record:
+    return source if isinstance(source, Record) else read_record(source, frequency_hz=frequency_hz)
