@@ -44,6 +44,7 @@ if TYPE_CHECKING:  # what the table below says, for type checkers and editors
     from interarea.grids import reduce as reduce
     from interarea.models.errors import InterareaError as InterareaError
     from interarea.models.errors import UserError as UserError
+    from interarea.records import fit as fit
     from interarea.records import meter as meter
     from interarea.simulation import Channel as Channel
     from interarea.simulation import compare as compare
@@ -60,7 +61,7 @@ _PUBLIC = {
     "synthesis": "design_controller load_controller certify",
     "simulation": "simulate compare Channel sweep read_sweep",
     "control_systems": "delay_margin delayed_poles hinfsyn h2syn",
-    "records": "meter",
+    "records": "meter fit",
     "exchange": "build_fmu write_ssp write_container check",
     "design.controllers.controller": "Controller",
     "cosim.run.system": "System",

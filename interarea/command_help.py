@@ -27,6 +27,7 @@ SUMMARIES = {
     "export": "Write a case as RAW, DYR, MATPOWER or TOML.",
     "meter": "Meter a record: what swings, how damped, forced or modal.",
     "locate": "Locate an oscillation by energy flow at each terminal.",
+    "fit": "Fit a machine with its controls to a record of it.",
     "cache": "Show, check or trim the cache of FMUs and designs.",
     "study": "Run a whole study and write its report.",
 }
@@ -56,6 +57,7 @@ EXAMPLES = {
     "device": "interarea device tgov1 --set R=0.05 --set T1=0.5 --set T2=2 --set T3=7",
     "meter": "interarea meter out/run/trajectory.parquet --case two-area-thesis",
     "locate": "interarea locate out/run/trajectory.parquet --frequency 0.6",
+    "fit": "interarea fit pmu.csv --case two-area-thesis --machine G1 --parameters H",
     "cache": "interarea cache --check",
     "study": "interarea study thesis --out out/thesis --no-second-solver",
 }

@@ -7,10 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from interarea.cosim.records.brought import brought
+from interarea.cosim.records.fit import Fit, fitted
 from interarea.cosim.records.meter import Meter
 from interarea.cosim.records.meter import meter as metered
 from interarea.cosim.records.read import read_record
 from interarea.cosim.records.record import Record
+from interarea.fmu_build.write.cache import default_cache
 from interarea.grids import case_like
 
 if TYPE_CHECKING:
@@ -59,7 +61,6 @@ def modes_in(case: Case, band_hz: tuple[float, float]) -> tuple[Mode, ...]:
     """Return all modes of a case in a band, damped by less than 0.3."""
     from interarea.cosim.run.artefacts import sparse_linear_plant
     from interarea.design.modes.all_modes import all_modes
-    from interarea.fmu_build.write.cache import default_cache
 
     plant = sparse_linear_plant(case, default_cache())
     return all_modes(plant, case.areas, band_hz=band_hz, below=0.3).modes
@@ -67,3 +68,31 @@ def modes_in(case: Case, band_hz: tuple[float, float]) -> tuple[Mode, ...]:
 
 def _record(source: Record | str | Path | pd.DataFrame, frequency_hz: float) -> Record:
     return source if isinstance(source, Record) else read_record(source, frequency_hz=frequency_hz)
+
+
+def fit(
+    record: Record | str | Path | pd.DataFrame,
+    case: Case | str | Path,
+    machine: str,
+    parameters: Sequence[str] = (),
+    *,
+    rest_s: float = 0.5,
+) -> Fit:
+    """Play a record's voltage and angle into a machine alone with its controls; fit parameters to P and Q.
+
+    As the command ``interarea fit`` does.
+
+    Parameters
+    ----------
+    record : a `Record`, or what `read_record` takes.
+    case, machine : where the machine stands. parameters : such as ``H``, ``exciter.KA``, six at most; none:
+        it is only played in. Those that the record does not show are named in `kept_as_is`.
+    rest_s : how long the record is at rest at its start.
+
+    Raises
+    ------
+    UserError : no such machine or parameter, something not measured, a record too short.
+    """
+    grid = case_like(case)
+    one = _record(record, grid.frequency_hz)
+    return fitted(one, grid, machine, default_cache(), parameters=parameters, rest_s=rest_s)

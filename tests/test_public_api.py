@@ -55,6 +55,8 @@ FUNCTIONS = {
     "meter": "record: Record | str | Path | pd.DataFrame, case: Case | str | Path | None = None, *, "
     "beside: Record | str | Path | pd.DataFrame | None = None, band_hz: tuple[float, float] = (0.1, 2.5), "
     "quantity: str | None = None, channels: Sequence[str] = () -> Meter",
+    "fit": "record: Record | str | Path | pd.DataFrame, case: Case | str | Path, machine: str, "
+    "parameters: Sequence[str] = (), *, rest_s: float = 0.5 -> Fit",
     "delay_margin": "loop: SystemLike, *, sign: int = -1, upto_s: float = 10.0 -> DelayMargin",
     "delayed_poles": "loop: SystemLike, latency_s: float | Sequence[float], *, sign: int = -1, "
     "right_of: float = -1.0, least: int = 1 -> npt.NDArray[np.complex128]",

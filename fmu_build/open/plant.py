@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import weakref
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from ctypes import c_double
 from pathlib import Path
 from types import TracebackType
@@ -79,6 +79,25 @@ class PlantFmu:
             dx = np.empty(len(self._states))
             self._fmu.do("GetDerivatives", _at(dx), dx.size)
             return dx, self._fmu.get(self._outputs)
+
+    def rates_between(self, x: Vector, dx: Vector) -> Callable[[], None]:
+        """Return a function that writes the rates of the states in `x` into `dx`; both (n,), in one piece.
+
+        For a loop over many points: it raises FmuError where a call fails, and leaves inputs as they are.
+        """
+        dll, component, n = self._fmu.library.dll, self._fmu.component, x.size
+        move, rates, at, into = dll.fmi2SetContinuousStates, dll.fmi2GetDerivatives, _at(x), _at(dx)
+
+        def write() -> None:
+            if move(component, at, n) > 1 or rates(component, into, n) > 1:
+                raise FmuError(self._name, "fmi2GetDerivatives", f"failed{self._fmu.library.said()}")
+
+        return write
+
+    def outputs(self) -> Vector:
+        """Return the outputs, shape (p,), at the states set last."""
+        with self._errors():
+            return self._fmu.get(self._outputs)
 
     def jacobians(
         self, x: npt.ArrayLike | None = None, u: npt.ArrayLike | None = None

@@ -116,6 +116,10 @@ COMMANDS = {
         "records.locate:locate",
         "Locate an oscillation: by the energy flow at each terminal and, with --case, by the grid's model.",
     ),
+    "fit": (
+        "records.fit:fit",
+        "Play a record into a machine alone with its controls; fit parameters; say what it does not show.",
+    ),
     "cache": (
         "cache:cache",
         "Show what the cache of FMUs and designs holds; check it, trim it.",
