@@ -166,9 +166,9 @@ def _ambient(
     for k, swing in enumerate(modal):
         weights = _filter(shapes, k)
         near = (max(band_hz[0], _LOW * swing.frequency_hz), min(band_hz[1], _HIGH * swing.frequency_hz))
-        estimates = [_estimate(s, weights, band_hz, near) for s in (before, after)]
-        if estimates[0] is not None and estimates[1] is not None:
-            rows.append((swing, *estimates))
+        one, other_one = (_estimate(s, weights, band_hz, near) for s in (before, after))
+        if one is not None and other_one is not None:
+            rows.append((swing, one, other_one))
     return rows
 
 
@@ -212,7 +212,7 @@ def _difference(
 ) -> Difference:
     gained = after.damping_ratio - before.damping_ratio
     halves = [0.5 * (e.damping_interval[1] - e.damping_interval[0]) for e in (before, after)]
-    half = float(np.hypot(*halves))
+    half = float(np.hypot(halves[0], halves[1]))
     shown = abs(gained) > half
     z = float(norm.ppf(0.5 + 0.5 * LEVEL))
     size = half / z * (z + float(norm.ppf(POWER)))  # what records of this length show

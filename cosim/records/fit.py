@@ -162,8 +162,8 @@ def fitted(
     shown: tuple[Parameter, ...] = ()
     covariance = np.zeros((0, 0))
     notes = []
-    if not np.all(judged):
-        notes.append(f"{np.sum(~judged)} frames beside jumps of the voltage are not judged")
+    if not judged.all():
+        notes.append(f"{np.sum(np.logical_not(judged))} frames beside jumps of the voltage are not judged")
     if names:
         slopes = problem.slopes(np.ones(len(names)), power, y)
         kept = _shown(slopes, names, kept_as_is)

@@ -89,8 +89,10 @@ def terminal_of(record: Record, case: Case, machine: str, rest_s: float) -> Term
 def _only_branch(case: Case, m: Machine) -> Branch | None:
     """Return the branch that carries what one machine gives, and nothing else; None where there is none."""
     there = [b for b in case.branches if m.bus in (b.from_bus, b.to_bus) and b.in_service]
-    rows = (*case.machines, *case.svcs, *case.converters, *case.loads, *case.shunts)
-    alone = all(row.bus != m.bus or row is m for row in rows) and not case.hvdcs
+    buses = [row.bus for row in case.machines] + [row.bus for row in case.loads]
+    buses += [row.bus for row in case.shunts] + [row.bus for row in case.svcs]
+    buses += [row.bus for row in case.converters]
+    alone = buses.count(m.bus) == 1 and not case.hvdcs
     return there[0] if len(there) == 1 and alone and not there[0].b else None
 
 
