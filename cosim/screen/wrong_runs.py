@@ -12,6 +12,7 @@ from interarea.design.robust.signal_worth import own_signals
 from interarea.models.case.case import Case
 
 from ..designs.acceptance import FaultPlace
+from ..designs.design_file import DesignTable
 from ..errors import ScenarioError
 
 Judged: TypeAlias = Controller | ControllerBank
@@ -169,3 +170,21 @@ def disturbances_of(case: Case, place: FaultPlace) -> dict[str, list[dict[str, A
     if place.trip is not None:
         disturbances[TRIP] = [{"kind": "branch_trip", "branch": place.trip, "start_s": START_S}]
     return disturbances
+
+
+def fault_place(table: DesignTable) -> FaultPlace:
+    """Return where a design's faults are: the first of its acceptance with a trip, else its own.
+
+    Raises
+    ------
+    ScenarioError : a design without any fault.
+    """
+    places = () if table.acceptance is None else table.acceptance.fault
+    for place in (*(p for p in places if p.trip is not None), *places):
+        return place
+    if table.fault is None:
+        raise ScenarioError(
+            f"--wrong-signals: the design {table.name} has no fault, allowed: one with [fault] or "
+            "[acceptance], given by --spec"
+        )
+    return FaultPlace(bus=table.fault.bus, trip=table.fault.branch)

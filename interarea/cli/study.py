@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .terminal import note, stage_progress
+from .terminal import busy, note, stage_progress
 
 if TYPE_CHECKING:
     from interarea.cosim.grid_study.automatic import GridDesign
@@ -59,6 +60,10 @@ def study(
             "--mva", metavar="MVA", help="of actuators: power of each device (else the least there)"
         ),
     ] = None,
+    controller: Annotated[
+        list[str] | None,
+        typer.Option("--controller", metavar="NAME", help="of wrong-signals: a controller; again for more"),
+    ] = None,
     json_: Annotated[bool, typer.Option("--json", help="print JSON instead of the files' names")] = False,
 ) -> None:
     """Run a whole study, or study a grid: modes, a design made for it, faults, report.html, study.json.
@@ -66,12 +71,15 @@ def study(
     Of a grid: exit code 1 where no controller that holds what is asked came out; the page has the reason.
     The study `worth` says of named grids whether a wide-area signal pays: worth.html, worth.parquet.
     The study `actuators` says of one grid which kind of actuator damps it best: actuators.html.
+    The study `wrong-signals` runs controllers with each kind of wrong signal: wrong_signals.html.
     """
     from interarea.models.errors import UserError
 
     from .destination import folder_for
     from .grids import grid_of
 
+    if controller and name != "wrong-signals":
+        raise UserError(f"--controller {controller[0]}: goes with the study wrong-signals, not with {name}")
     if name == "actuators":
         _study_actuators(out, dyr, minutes, grid or [], actuator or [], mva, json_=json_)
         return
@@ -80,6 +88,10 @@ def study(
         raise UserError(f"{option}: goes with the study actuators, not with {name}; leave it out")
     if name == "worth":
         _study_worth(out, dyr, minutes, grid or [], json_=json_)
+        return
+    if name == "wrong-signals":
+        _refuse_options(name, {"--grid": grid, "--dyr": dyr, "--minutes": minutes})
+        _study_wrong_signals(out, controller or [], json_=json_)
         return
     if grid:
         raise UserError(
@@ -197,6 +209,56 @@ def _study_actuators(
             typer.echo(file)
     for line in result["conclusion"]:
         note(line)
+
+
+def _refuse_options(name: str, options: Mapping[str, object]) -> None:
+    """Refuse an option that a bundled study does not take."""
+    from interarea.models.errors import UserError
+
+    for option, value in options.items():
+        if value:
+            raise UserError(f"{option}: not with the study {name}; leave it out")
+
+
+def _study_wrong_signals(out: Path, names: list[str], *, json_: bool) -> None:
+    from interarea.cosim.designs.design_file import load_design
+    from interarea.cosim.screen.wrong_runs import fault_place
+    from interarea.cosim.screen.wrong_study import (
+        CONTROLLERS,
+        FILES,
+        Subject,
+        stages,
+        study_wrong_signals,
+    )
+    from interarea.fmu_build.write.cache import default_cache
+    from interarea.synthesis import judged_and_design
+
+    from .destination import folder_for
+
+    folder_for(out, files=FILES)
+    names = list(dict.fromkeys(names or CONTROLLERS))
+    subjects = []
+    with busy("reading the controllers, designed for the case where they are new"):
+        for name in names:
+            loaded, table = judged_and_design(name, None, None)
+            has_fault = table.fault is not None or table.acceptance is not None
+            # a controller of the printed study has no design file: the default's faults, on the same grid
+            place = fault_place(table if has_fault else load_design(CONTROLLERS[0]))
+            subjects.append(Subject(name, loaded, table.grid, place))
+    command = f"interarea study wrong-signals{''.join(f' --controller {n}' for n in names)} --out {out}"
+    with stage_progress(stages(names)) as report:
+        result = study_wrong_signals(subjects, out, default_cache(), command=command, report=report)
+    if json_:
+        conclusions = {one["controller"]: one["conclusion"] for one in result["controllers"]}
+        files = [str(out / name) for name in FILES]
+        typer.echo(
+            json.dumps({"study": "wrong-signals", "controllers": conclusions, "files": files}, indent=2)
+        )
+    else:
+        for file in FILES:
+            typer.echo(out / file)
+    for one in result["controllers"]:
+        note(f"{one['controller']}: {one['conclusion']}")
 
 
 def _choices_of(name: str, dyr: Path | None, minutes: float | None) -> Choices:

@@ -34,31 +34,11 @@ def check_wrong_options(wrong_signals: bool, detector: Path | None, *, others: b
         )
 
 
-def fault_place(table: DesignTable) -> FaultPlace:
-    """Return where a design's faults are: the first of its acceptance with a trip, else its own.
-
-    Raises
-    ------
-    UserError : a design without any fault.
-    """
-    from interarea.cosim.designs.acceptance import FaultPlace
-    from interarea.models.errors import UserError
-
-    places = () if table.acceptance is None else table.acceptance.fault
-    for place in (*(p for p in places if p.trip is not None), *places):
-        return place
-    if table.fault is None:
-        raise UserError(
-            f"--wrong-signals: the design {table.name} has no fault, allowed: one with [fault] or "
-            "[acceptance], given by --spec"
-        )
-    return FaultPlace(bus=table.fault.bus, trip=table.fault.branch)
-
-
 def certify_wrong(
     loaded: Controller | ControllerBank, table: DesignTable, detector: Path | None, *, json_: bool
 ) -> None:
     """Run a loop with every kind of wrong signal, print what came of it; exit code 1 where it fails."""
+    from interarea.cosim.screen.wrong_runs import fault_place
     from interarea.cosim.screen.wrong_signals import certify_wrong_signals
     from interarea.design.controllers.detector_record import load_detector
     from interarea.fmu_build.write.cache import default_cache

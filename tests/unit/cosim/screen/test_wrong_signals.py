@@ -10,7 +10,7 @@ import control
 import numpy as np
 import pytest
 
-from interarea.cli.certificates.wrong_signals import check_wrong_options, fault_place
+from interarea.cli.certificates.wrong_signals import check_wrong_options
 from interarea.cosim.designs.acceptance import FaultPlace
 from interarea.cosim.designs.design_file import load_design
 from interarea.cosim.errors import ScenarioError
@@ -20,6 +20,7 @@ from interarea.cosim.screen.wrong_runs import (
     SWAP,
     WrongRun,
     disturbances_of,
+    fault_place,
     signals_of,
     wrong_kinds,
 )

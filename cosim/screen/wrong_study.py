@@ -1,0 +1,232 @@
+"""The study `wrong-signals`: several controllers, each with a detector designed for it, on one page."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from threadpoolctl import threadpool_limits
+
+from interarea.design.controllers.detector_record import DetectorDesign, DetectorDesignError, load_detector
+from interarea.models.case.case import Case
+from interarea.models.files import temporary_folder, write_whole
+
+from ..designs.acceptance import FaultPlace
+from ..plots.html import page_environment
+from ..results.verdict import LOST
+from .detector_design import design_detector
+from .wrong_runs import INTERVAL_S, START_S, STOP_S, WRONG_S, Judged, signals_of
+from .wrong_signals import HEADER, RIGHT, WrongRow, certify_wrong_signals
+
+#: by default: the default controller, the bank, one of the printed ones, and those of larger sets of signals
+CONTROLLERS = ("wide_area", "active", "ftc", "two_actuators", "nets_nyps", "new_england")
+FILES = ("wrong_signals.json", "wrong_signals.html", "wrong_signals.parquet", "wrong_signals.csv")
+
+Report = Callable[[str, float], object]
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A controller, the name that a scenario knows it by, its grid, and where the fault and the trip are."""
+
+    name: str
+    controller: Judged
+    case: Case
+    place: FaultPlace
+
+
+def stages(names: Sequence[str]) -> tuple[str, ...]:
+    """Return the stages of the study."""
+    return tuple(f"{name}, {part}" for name in names for part in ("detector", "runs"))
+
+
+def study_wrong_signals(
+    subjects: Sequence[Subject],
+    out: Path,
+    cache: Path,
+    *,
+    kinds: Sequence[str] | None = None,
+    disturbances: Sequence[str] | None = None,
+    command: str = "",
+    report: Report = lambda stage, share: None,
+) -> dict[str, Any]:
+    """Run every kind of wrong signal on each controller into the folder `out`; return what its JSON holds.
+
+    A detector and a certificate that `out` holds of the same controller, grid and question are not made
+    again. kinds, disturbances : as of `certify_wrong_signals`.
+
+    Raises
+    ------
+    ScenarioError : a controller that sees no speed of a machine.
+    """
+    done: list[dict[str, Any]] = []
+
+    def written() -> dict[str, Any]:
+        study = {
+            "title": "What a wrong signal does, with and without a detector",
+            "command": command,
+            "controllers": done,
+            "times_s": {"disturbance": START_S, "wrong_from": WRONG_S, "stop": STOP_S},
+            "versions": {"interarea": version("interarea")},
+        }
+        _write(study, out)
+        return study
+
+    with threadpool_limits(1):
+        for subject, (making, running) in zip(subjects, _pairs(subjects), strict=True):
+            report(making, 0.0)
+            file, problem = _detector(subject, out, cache, lambda share, at=making: report(at, share))
+            report(making, 1.0)
+            asked = {"kinds": kinds, "disturbances": disturbances}
+            result = _certificate(
+                subject, file, asked, out, cache, lambda share, at=running: report(at, share)
+            )
+            done.append({**result, **summary_of(result), "no_detector": problem, "fault": str(subject.place)})
+            written()
+            report(running, 1.0)
+    return written()
+
+
+def _pairs(subjects: Sequence[Subject]) -> list[tuple[str, str]]:
+    names = stages([subject.name for subject in subjects])
+    return list(zip(names[::2], names[1::2], strict=True))
+
+
+def _detector(
+    subject: Subject, out: Path, cache: Path, progress: Callable[[float], object]
+) -> tuple[Path | None, str]:
+    """Return the file of the controller's detector, designed where it is not there; else None and why."""
+    file = out / f"detector_{subject.name}.json"
+    wanted = tuple(signals_of(subject.case, subject.controller).all)
+    try:
+        held: DetectorDesign | None = load_detector(file)
+    except DetectorDesignError:
+        held = None
+    if held is None or (held.case, held.controller, held.signals) != (
+        subject.case.name,
+        subject.name,
+        wanted,
+    ):
+        try:
+            designed = design_detector(
+                subject.case, subject.name, wanted, cache=cache, interval_s=INTERVAL_S, progress=progress
+            )
+        except DetectorDesignError as error:
+            return None, str(error)
+        designed.save(file)
+    return file, ""
+
+
+def _certificate(
+    subject: Subject,
+    detector: Path | None,
+    asked: Mapping[str, Sequence[str] | None],
+    out: Path,
+    cache: Path,
+    progress: Callable[[float], object],
+) -> dict[str, Any]:
+    """Return the certificate as JSON values, from `out` where that holds it for the same question."""
+    file = out / f"certificate_{subject.name}.json"
+    compared: tuple[str, ...] = ()
+    made_of = [
+        json.dumps(subject.controller.as_dict(), sort_keys=True),
+        subject.case.hash,
+        str(subject.place),
+        json.dumps(asked),
+    ]
+    if detector is not None:
+        compared = load_detector(detector).signals
+        made_of.append(detector.read_text(encoding="utf-8"))
+    key = hashlib.sha256("\n".join([*made_of, version("interarea")]).encode()).hexdigest()
+    if file.is_file():
+        held: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+        if held.get("key") == key:
+            return held
+    certificate = certify_wrong_signals(
+        subject.case,
+        subject.controller,
+        subject.place,
+        cache,
+        detector={} if detector is None else {"file": str(detector.absolute())},
+        compared=compared,
+        progress=progress,
+        **asked,
+    )
+    document = certificate.as_dict() | {"key": key, "detector": {} if detector is None else detector.name}
+    write_whole(file, (json.dumps(document, indent=1, allow_nan=False) + "\n").encode())
+    return json.loads(json.dumps(document))  # type: ignore[no-any-return]
+
+
+def summary_of(certificate: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the counts of a certificate's runs with one wrong signal, and its conclusion in words."""
+    rows = runs_of(certificate)
+    wrong, right = ([row for row in rows if (row.kind == RIGHT) is clean] for clean in (False, True))
+    counts: dict[str, Any] = {"runs_of_each": sum(not row.detector for row in wrong)}
+    for name, with_it in (("alone", False), ("watched", True)):
+        part = [row for row in wrong if row.detector is with_it]
+        lost = sum(row.verdict == LOST for row in part)
+        counts[name] = {
+            "lost": lost,
+            "swinging": sum(not row.stable for row in part) - lost,
+            "worse": sum(row.worse for row in part),
+        }
+    counts["false_alarms"] = sum(bool(row.others) for row in right)
+    counts["clean_runs"] = sum(row.detector for row in right)
+    left = [one["inter_area"] if one["stable"] else None for one in certificate["out"]]
+    counts["least_left"] = None if None in left else min(left, default=None)
+    counts["conclusion"] = _conclusion(certificate, counts)
+    return counts
+
+
+def runs_of(certificate: Mapping[str, Any]) -> list[WrongRow]:
+    """Return the runs of a certificate that was read from JSON."""
+    return [WrongRow(**{**row, "others": tuple(row["others"])}) for row in certificate["rows"]]
+
+
+def _conclusion(certificate: Mapping[str, Any], counts: Mapping[str, Any]) -> str:
+    alone, watched, runs = counts["alone"], counts["watched"], counts["runs_of_each"]
+    words = f"of {runs} runs with one wrong signal "
+    words += f"{alone['lost']} lose synchronism and {alone['swinging']} keep swinging without a detector, "
+    words += f"{watched['lost']} and {watched['swinging']} with one"
+    every, right = certificate["isolated"], certificate["rightly"]
+    words += f"; of {every} isolated signals {right} were the wrong one"
+    if counts["least_left"] is None:
+        return f"{words}; with one of its signals isolated the linear loop is unstable"
+    return f"{words}; with one signal isolated {counts['least_left']:.3f} of inter-area damping is left"
+
+
+def _write(study: Mapping[str, Any], out: Path) -> None:
+    """Write page, JSON and tables."""
+    import pyarrow as pa
+    import pyarrow.csv
+    import pyarrow.parquet
+
+    write_whole(out / FILES[0], (json.dumps(study, indent=1, allow_nan=False) + "\n").encode())
+    text = page_environment(Path(__file__).parent).get_template("wrong_signals.html.j2")
+    write_whole(out / FILES[1], text.render(study=study, header=HEADER).encode())
+    table = pa.Table.from_pylist(wrong_rows(study))
+    with temporary_folder() as folder:
+        pa.parquet.write_table(table, folder / FILES[2])
+        pa.csv.write_csv(table, folder / FILES[3])
+        for name in FILES[2:]:
+            write_whole(out / name, (folder / name).read_bytes())
+
+
+def wrong_rows(study: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return the runs of all controllers as a flat table; names are joined by blanks."""
+    return [
+        {
+            "controller": one["controller"],
+            "case": one["case"],
+            **asdict(row),
+            "others": " ".join(row.others),
+            "worse_than_no_control": row.worse,
+        }
+        for one in study["controllers"]
+        for row in runs_of(one)
+    ]
