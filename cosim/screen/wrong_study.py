@@ -6,6 +6,7 @@ import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -80,12 +81,10 @@ def study_wrong_signals(
     with threadpool_limits(1):
         for subject, (making, running) in zip(subjects, _pairs(subjects), strict=True):
             report(making, 0.0)
-            file, problem = _detector(subject, out, cache, lambda share, at=making: report(at, share))
+            file, problem = _detector(subject, out, cache, partial(report, making))
             report(making, 1.0)
-            asked = {"kinds": kinds, "disturbances": disturbances}
-            result = _certificate(
-                subject, file, asked, out, cache, lambda share, at=running: report(at, share)
-            )
+            asked = (kinds, disturbances)
+            result = _certificate(subject, file, asked, out, cache, partial(report, running))
             done.append({**result, **summary_of(result), "no_detector": problem, "fault": str(subject.place)})
             written()
             report(running, 1.0)
@@ -125,7 +124,7 @@ def _detector(
 def _certificate(
     subject: Subject,
     detector: Path | None,
-    asked: Mapping[str, Sequence[str] | None],
+    asked: tuple[Sequence[str] | None, Sequence[str] | None],
     out: Path,
     cache: Path,
     progress: Callable[[float], object],
@@ -154,8 +153,9 @@ def _certificate(
         cache,
         detector={} if detector is None else {"file": str(detector.absolute())},
         compared=compared,
+        kinds=asked[0],
+        disturbances=asked[1],
         progress=progress,
-        **asked,
     )
     document = certificate.as_dict() | {"key": key, "detector": {} if detector is None else detector.name}
     write_whole(file, (json.dumps(document, indent=1, allow_nan=False) + "\n").encode())
@@ -177,8 +177,9 @@ def summary_of(certificate: Mapping[str, Any]) -> dict[str, Any]:
         }
     counts["false_alarms"] = sum(bool(row.others) for row in right)
     counts["clean_runs"] = sum(row.detector for row in right)
-    left = [one["inter_area"] if one["stable"] else None for one in certificate["out"]]
-    counts["least_left"] = None if None in left else min(left, default=None)
+    stable = all(one["stable"] for one in certificate["out"])
+    left = min((one["inter_area"] for one in certificate["out"]), default=None)
+    counts["least_left"] = left if stable else None
     counts["conclusion"] = _conclusion(certificate, counts)
     return counts
 
