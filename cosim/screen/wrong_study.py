@@ -168,13 +168,7 @@ def summary_of(certificate: Mapping[str, Any]) -> dict[str, Any]:
     wrong, right = ([row for row in rows if (row.kind == RIGHT) is clean] for clean in (False, True))
     counts: dict[str, Any] = {"runs_of_each": sum(not row.detector for row in wrong)}
     for name, with_it in (("alone", False), ("watched", True)):
-        part = [row for row in wrong if row.detector is with_it]
-        lost = sum(row.verdict == LOST for row in part)
-        counts[name] = {
-            "lost": lost,
-            "swinging": sum(not row.stable for row in part) - lost,
-            "worse": sum(row.worse for row in part),
-        }
+        counts[name] = _ends([row for row in wrong if row.detector is with_it])
     counts["false_alarms"] = sum(bool(row.others) for row in right)
     counts["clean_runs"] = sum(row.detector for row in right)
     stable = all(one["stable"] for one in certificate["out"])
@@ -182,6 +176,12 @@ def summary_of(certificate: Mapping[str, Any]) -> dict[str, Any]:
     counts["least_left"] = left if stable else None
     counts["conclusion"] = _conclusion(certificate, counts)
     return counts
+
+
+def _ends(rows: Sequence[WrongRow]) -> dict[str, int]:
+    lost = sum(row.verdict == LOST for row in rows)
+    swinging = sum(not row.stable for row in rows) - lost
+    return {"lost": lost, "swinging": swinging, "worse": sum(row.worse for row in rows)}
 
 
 def runs_of(certificate: Mapping[str, Any]) -> list[WrongRow]:
