@@ -73,30 +73,20 @@ def study(
     The study `actuators` says of one grid which kind of actuator damps it best: actuators.html.
     The study `wrong-signals` runs controllers with each kind of wrong signal: wrong_signals.html.
     """
-    from interarea.models.errors import UserError
-
     from .destination import folder_for
     from .grids import grid_of
 
-    if controller and name != "wrong-signals":
-        raise UserError(f"--controller {controller[0]}: goes with the study wrong-signals, not with {name}")
+    _check_options(name, grid, actuator, mva, controller)
     if name == "actuators":
         _study_actuators(out, dyr, minutes, grid or [], actuator or [], mva, json_=json_)
         return
-    if actuator or mva is not None:
-        option = "--mva" if mva is not None else f"--actuator {(actuator or [''])[0]}"
-        raise UserError(f"{option}: goes with the study actuators, not with {name}; leave it out")
     if name == "worth":
         _study_worth(out, dyr, minutes, grid or [], json_=json_)
         return
     if name == "wrong-signals":
-        _refuse_options(name, {"--grid": grid, "--dyr": dyr, "--minutes": minutes})
+        _refuse_options(name, {"--dyr": dyr, "--minutes": minutes})
         _study_wrong_signals(out, controller or [], json_=json_)
         return
-    if grid:
-        raise UserError(
-            f"--grid {grid[0]}: goes with the study worth or actuators, not with {name}; name one grid alone"
-        )
     folder_for(out, files=_FILES)
     choices = _choices_of(name, dyr, minutes)
     grid_dyr = None if choices.dyr is None else Path(choices.dyr)
@@ -209,6 +199,27 @@ def _study_actuators(
             typer.echo(file)
     for line in result["conclusion"]:
         note(line)
+
+
+def _check_options(
+    name: str,
+    grid: list[str] | None,
+    actuator: list[str] | None,
+    mva: float | None,
+    controller: list[str] | None,
+) -> None:
+    """Refuse an option of one bundled study that is given to another."""
+    from interarea.models.errors import UserError
+
+    if controller and name != "wrong-signals":
+        raise UserError(f"--controller {controller[0]}: goes with the study wrong-signals, not with {name}")
+    if name != "actuators" and (actuator or mva is not None):
+        option = "--mva" if mva is not None else f"--actuator {(actuator or [''])[0]}"
+        raise UserError(f"{option}: goes with the study actuators, not with {name}; leave it out")
+    if grid and name not in ("worth", "actuators"):
+        raise UserError(
+            f"--grid {grid[0]}: goes with the study worth or actuators, not with {name}; name one grid alone"
+        )
 
 
 def _refuse_options(name: str, options: Mapping[str, object]) -> None:
