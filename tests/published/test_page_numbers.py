@@ -87,9 +87,16 @@ def test_the_front_page_repeats_the_record_of_the_default_controller() -> None:
 )
 def test_what_the_remote_signal_adds_is_stated(page: str, start: str) -> None:
     worth = controller("wide_area")["certificate"]["worth"]
-    cycles = worth["whole"]["clearing_cycles"] - worth["rival"]["clearing_cycles"]
+    whole, rival = worth["whole"], worth["rival"]
+    cycles = whole["clearing_cycles"] - rival["clearing_cycles"]
     stated = " ".join(PAGES[page].split()).partition(start)[2].partition(" cycles")[0]
-    assert re.findall(r"\d\.\d+", stated) == [f"{worth['adds']:.3f}", f"{cycles:.1f}"]
+    assert re.findall(r"\d\.\d+", stated) == [f"{cycles:.1f}"]
+    both = [f"{side['inter_area']:.3f}" for side in (whole, rival)]
+    assert f"{both[0]} against {both[1]}" in " ".join(PAGES[CONTROLLERS].split())
+    changes = [f"{side['clearing_cycles']:.1f}" for side in (whole, rival)]
+    assert row("README.md", "with its remote signal")[1] == (
+        f"{', '.join(both)}; {', '.join(changes)} cycles"
+    )
 
 
 def test_the_error_of_the_delay_is_that_of_the_page_which_a_command_writes() -> None:
