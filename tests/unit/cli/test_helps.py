@@ -15,10 +15,12 @@ from interarea.command_help import EXAMPLES, READS, SUMMARIES
 
 #: examples of a second or two; all others run in the slow half
 QUICK = ("list", "cases", "show", "new", "device", "export", "cache")
+#: examples that are parsed alone: a search of many minutes, a record that no other example writes
+PARSED = ("design", "fit")
 RUNNING = [
     pytest.param(name, marks=() if name in QUICK else pytest.mark.slow)
     for name in COMMANDS
-    if name != "design"
+    if name not in PARSED
 ]
 
 
@@ -59,10 +61,11 @@ def test_a_commands_help_ends_with_its_example(name: str) -> None:
     assert _help(name).splitlines()[-2:] == [f"  Example{before}:", f"    {EXAMPLES[name]}"]
 
 
-def test_the_example_of_a_design_parses() -> None:
-    """Its search takes many minutes; designs of less run in `tests/unit/cosim/designs`."""
-    words = shlex.split(EXAMPLES["design"])[2:]
-    read = load("design").make_context("design", [*words]).params
+@pytest.mark.parametrize("name", PARSED)
+def test_an_example_that_is_not_run_parses(name: str) -> None:
+    """Designs of less run in `tests/unit/cosim/designs`, fits in `tests/unit/cosim/records`."""
+    words = shlex.split(EXAMPLES[name])[2:]
+    read = load(name).make_context(name, [*words]).params
     assert words[0] in map(str, read.values())
 
 
