@@ -19,6 +19,8 @@ from ..plots.curves import DASHES, MUTED, SERIES, STYLE, WIDTH
 from ..plots.html import page_environment, page_figure
 from .installed import KINDS
 
+OWN_AT = -40  #: on the axis of latencies, ms: where the own-signal controller, which is never late, is drawn
+
 
 def write_actuator_page(study: Mapping[str, Any], path: Path) -> Path:
     """Write the page of what `study` holds so far."""
@@ -46,6 +48,8 @@ def _figure(study: Mapping[str, Any]) -> Figure:
         right.yaxis.set_major_locator(MaxNLocator(integer=True))
         for axes in (left, right):
             axes.set_xlabel("latency of remote signals (ms)")
+            axes.set_xticks([OWN_AT, 0, 100, 200, 300], ["own", "0", "100", "200", "300"])
+            axes.set_xlim(2 * OWN_AT, 320)
         left.legend(fontsize="small")
     return figure
 
@@ -61,5 +65,5 @@ def _draw(left: Axes, right: Axes, rows: list[Mapping[str, Any]], name: str, k: 
     kept = [row["survived"] if row["survived_lost"] is None else row["survived_lost"] for row in remote]
     right.plot(x, kept, "o", **style)
     for row in (row for row in rows if row["signals"] == "own"):
-        left.plot([-25], [min(row["there"], row["late"])], "s", color=colour, markersize=5)
-        right.plot([-25], [row["survived"]], "s", color=colour, markersize=5)
+        left.plot([OWN_AT], [min(row["there"], row["late"])], "s", color=colour, markersize=5)
+        right.plot([OWN_AT], [row["survived"]], "s", color=colour, markersize=5)
