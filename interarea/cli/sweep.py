@@ -47,15 +47,15 @@ def sweep(
     json_: Annotated[bool, typer.Option("--json", help="print JSON instead of lines")] = False,
 ) -> None:
     """Run a scenario over many parameters; a sweep that was stopped goes on where it was."""
-    require_regular(spec, "a sweep file", SweepError)  # before what takes seconds to load
-    from interarea.cosim.sweep.front import run_sweep
-
     from .destination import folder_for
 
     check_workers(workers, scheduler)
     if retry not in (None, "failed"):
         raise SweepError(f"--retry = {retry}, allowed: failed")
     folder_for(out)
+    require_regular(spec, "a sweep file", SweepError)  # before what takes seconds to load
+    from interarea.cosim.sweep.front import run_sweep
+
     with sweeping(out) as show:
         summary = run_sweep(
             spec,
