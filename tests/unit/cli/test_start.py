@@ -160,7 +160,9 @@ def test_the_shell_completes_commands_and_options() -> None:
     assert _output(COMP_WORDS="interarea con", **asked).split() == ["container"]
     asked["COMP_CWORD"] = "2"
     assert _output(COMP_WORDS="interarea modes --sha", **asked).split() == ["--shapes"]
-    assert "complete_bash" in _output("--show-completion", "bash")
+    # the shell is looked for among the parents of the process: `true` keeps bash there
+    shown = ["bash", "-c", f"{sys.executable} -m interarea --show-completion; true"]
+    assert "complete_bash" in subprocess.run(shown, capture_output=True, text=True, check=False).stdout
 
 
 def test_quiet_leaves_results_and_verbose_tells_steps(interarea, tmp_path) -> None:  # type: ignore[no-untyped-def]

@@ -117,6 +117,7 @@ def test_dynamic_data_beside_a_case_is_a_mistake(interarea: Any, tmp_path: Path)
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1200)  # half a minute with a warm cache, beyond five from an empty one beside others
 def test_a_study_of_a_grid_from_its_name_alone(
     interarea: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
