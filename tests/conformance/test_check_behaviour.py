@@ -126,6 +126,7 @@ def test_what_a_binary_needs_and_shows(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1200)  # zig builds the libraries of each system first: three minutes alone
 def test_libraries_of_every_platform_are_read(tmp_path: Path) -> None:
     """ELF, PE and Mach-O of one block: the same functions, nothing but system libraries, old enough glibc."""
     platforms = ["linux64", "win64", "darwin64", "darwin-arm64", "linux-arm64"]
