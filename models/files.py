@@ -17,10 +17,10 @@ import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextvars import ContextVar
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 try:
     import fcntl
@@ -329,3 +329,17 @@ def default_cache() -> Path:
     if sys.platform == "win32" and os.environ.get("LOCALAPPDATA"):
         return Path(os.environ["LOCALAPPDATA"]) / "interarea"
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "interarea"
+
+
+def write_rows(rows: Sequence[Mapping[str, Any]], parquet: Path, csv: Path, schema: Any = None) -> None:
+    """Write rows as both files, each whole. schema : of pyarrow; None: as the values are."""
+    import pyarrow as pa
+    import pyarrow.csv
+    import pyarrow.parquet
+
+    table = pa.Table.from_pylist(rows, schema=schema)
+    with temporary_folder() as folder:
+        pa.parquet.write_table(table, folder / "rows.parquet")
+        pa.csv.write_csv(table, folder / "rows.csv")
+        write_whole(parquet, (folder / "rows.parquet").read_bytes())
+        write_whole(csv, (folder / "rows.csv").read_bytes())

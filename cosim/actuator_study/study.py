@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_limits
 
 from interarea.design.controllers.controller import plain
 from interarea.models.case.case import Case
-from interarea.models.files import temporary_folder, write_whole
+from interarea.models.files import write_rows, write_whole
 
 from ..errors import ScenarioError
 from ..grid_study.automatic import Report
@@ -154,19 +154,10 @@ def _with(study: Mapping[str, Any], cells: Sequence[Cell]) -> dict[str, Any]:
 
 def _write(study: Mapping[str, Any], cells: Sequence[Cell], out: Path) -> None:
     """Write page, JSON, tables and controllers."""
-    import pyarrow as pa
-    import pyarrow.csv
-    import pyarrow.parquet
-
     text = json.dumps(plain(study), indent=1, allow_nan=False)
     write_whole(out / FILES[0], f"{text}\n".encode())
     write_actuator_page(study, out / FILES[1])
-    table = pa.Table.from_pylist(actuator_rows(study), schema=_schema())
-    with temporary_folder() as folder:
-        pa.parquet.write_table(table, folder / FILES[2])
-        pa.csv.write_csv(table, folder / FILES[3])
-        for name in FILES[2:4]:
-            write_whole(out / name, (folder / name).read_bytes())
+    write_rows(actuator_rows(study), out / FILES[2], out / FILES[3], _schema())
     controllers = [
         {"kind": c.kind, "signals": c.signals, "latency_ms": c.latency_ms, "controller": c.controller}
         for c in cells

@@ -16,7 +16,7 @@ from interarea.design.modes.loop_points import LoopSet
 from interarea.design.robust.smoothed_objective import BandOffsets
 from interarea.models.case.case import Case
 from interarea.models.errors import InterareaError
-from interarea.models.files import temporary_folder, write_whole
+from interarea.models.files import write_rows, write_whole
 
 from ..designs.family import at_point
 from ..errors import machine_error
@@ -206,19 +206,10 @@ class _GridLinks:
 
 def _write(study: Mapping[str, Any], out: Path) -> None:
     """Write page, JSON and tables."""
-    import pyarrow as pa
-    import pyarrow.csv
-    import pyarrow.parquet
-
     text = json.dumps(study, indent=1, allow_nan=False)
     write_whole(out / FILES[0], f"{text}\n".encode())
     write_link_page(study, out / FILES[1])
-    table = pa.Table.from_pylist(link_rows(study), schema=_schema())
-    with temporary_folder() as folder:
-        pa.parquet.write_table(table, folder / FILES[2])
-        pa.csv.write_csv(table, folder / FILES[3])
-        for name in FILES[2:]:
-            write_whole(out / name, (folder / name).read_bytes())
+    write_rows(link_rows(study), out / FILES[2], out / FILES[3], _schema())
 
 
 def _schema() -> Any:

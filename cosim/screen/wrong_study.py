@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 
 from interarea.design.controllers.detector_record import DetectorDesign, DetectorDesignError, load_detector
 from interarea.models.case.case import Case
-from interarea.models.files import temporary_folder, write_whole
+from interarea.models.files import write_rows, write_whole
 
 from ..designs.acceptance import FaultPlace
 from ..plots.html import page_environment
@@ -203,19 +203,10 @@ def _conclusion(certificate: Mapping[str, Any], counts: Mapping[str, Any]) -> st
 
 def _write(study: Mapping[str, Any], out: Path) -> None:
     """Write page, JSON and tables."""
-    import pyarrow as pa
-    import pyarrow.csv
-    import pyarrow.parquet
-
     write_whole(out / FILES[0], (json.dumps(study, indent=1, allow_nan=False) + "\n").encode())
     text = page_environment(Path(__file__).parent).get_template("wrong_signals.html.j2")
     write_whole(out / FILES[1], text.render(study=study, header=HEADER).encode())
-    table = pa.Table.from_pylist(wrong_rows(study))
-    with temporary_folder() as folder:
-        pa.parquet.write_table(table, folder / FILES[2])
-        pa.csv.write_csv(table, folder / FILES[3])
-        for name in FILES[2:]:
-            write_whole(out / name, (folder / name).read_bytes())
+    write_rows(wrong_rows(study), out / FILES[2], out / FILES[3])
 
 
 def wrong_rows(study: Mapping[str, Any]) -> list[dict[str, Any]]:

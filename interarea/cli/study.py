@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -101,38 +101,24 @@ def _study_worth(
 ) -> None:
     from interarea.cosim.grid_study.link_study import FILES, GRIDS, MINUTES, stages, study_links
     from interarea.fmu_build.write.cache import default_cache
-    from interarea.models.case.document import case_names
     from interarea.models.errors import UserError
 
     from .destination import folder_for
-    from .grids import grid_of
 
     if dyr is not None:
         raise UserError(
             f"--dyr {dyr}: not with the study worth; import the grid first, then --grid CASE.toml"
         )
     folder_for(out, files=FILES)
-    cases = {}
-    for name in grids or GRIDS:
-        if (loaded := grid_of(name)) is None:
-            raise UserError(
-                f"--grid {name}: no grid, allowed: a case file, .raw, .m, or one of {', '.join(case_names())}"
-            )
-        cases[name] = loaded[0]
+    cases = {name: _named_grid(name) for name in grids or GRIDS}
     minutes = minutes or MINUTES
     named = "".join(f" --grid {name}" for name in grids)
     command = f"interarea study worth{named} --out {out} --minutes {minutes:g}"
     with stage_progress(stages(list(cases))) as report:
         result = study_links(cases, out, default_cache(), minutes=minutes, command=command, report=report)
-    if json_:
-        conclusions = {one["grid"]: one["conclusion"] for one in result["grids"]}
-        files = [str(out / name) for name in FILES]
-        typer.echo(json.dumps({"study": "worth", "grids": conclusions, "files": files}, indent=2))
-    else:
-        for file in FILES:
-            typer.echo(out / file)
-    for one in result["grids"]:
-        note(f"{one['grid']}: {one['conclusion']}")
+    conclusions = {one["grid"]: one["conclusion"] for one in result["grids"]}
+    lines = [f"{grid}: {conclusion}" for grid, conclusion in conclusions.items()]
+    _show_study({"study": "worth", "grids": conclusions}, out, FILES, lines, json_=json_)
 
 
 def _study_actuators(
@@ -154,11 +140,9 @@ def _study_actuators(
         study_actuators,
     )
     from interarea.fmu_build.write.cache import default_cache
-    from interarea.models.case.document import case_names
     from interarea.models.errors import UserError
 
     from .destination import folder_for
-    from .grids import grid_of
 
     if dyr is not None:
         raise UserError(
@@ -171,17 +155,14 @@ def _study_actuators(
     chosen = kinds_of(kinds)
     folder_for(out, files=FILES)
     name = grids[0] if grids else GRID
-    if (loaded := grid_of(name)) is None:
-        raise UserError(
-            f"--grid {name}: no grid, allowed: a case file, .raw, .m, or one of {', '.join(case_names())}"
-        )
+    case = _named_grid(name)
     minutes = minutes or MINUTES
     options = [f"--grid {name}" for name in grids] + [f"--actuator {kind}" for kind in kinds]
     options += [] if mva is None else [f"--mva {mva:g}"]
     command = " ".join(["interarea study actuators", *options, f"--out {out} --minutes {minutes:g}"])
     with stage_progress(STAGES) as report:
         result = study_actuators(
-            loaded[0],
+            case,
             out,
             default_cache(),
             kinds=chosen,
@@ -190,15 +171,8 @@ def _study_actuators(
             command=command,
             report=report,
         )
-    files = [str(out / name) for name in FILES]
-    if json_:
-        summary = {"study": "actuators", "grid": name, "conclusion": result["conclusion"], "files": files}
-        typer.echo(json.dumps(summary, indent=2))
-    else:
-        for file in files:
-            typer.echo(file)
-    for line in result["conclusion"]:
-        note(line)
+    summary = {"study": "actuators", "grid": name, "conclusion": result["conclusion"]}
+    _show_study(summary, out, FILES, result["conclusion"], json_=json_)
 
 
 def _check_options(
@@ -259,17 +233,37 @@ def _study_wrong_signals(out: Path, names: list[str], *, json_: bool) -> None:
     command = f"interarea study wrong-signals{''.join(f' --controller {n}' for n in names)} --out {out}"
     with stage_progress(stages(names)) as report:
         result = study_wrong_signals(subjects, out, default_cache(), command=command, report=report)
-    if json_:
-        conclusions = {one["controller"]: one["conclusion"] for one in result["controllers"]}
-        files = [str(out / name) for name in FILES]
-        typer.echo(
-            json.dumps({"study": "wrong-signals", "controllers": conclusions, "files": files}, indent=2)
+    conclusions = {one["controller"]: one["conclusion"] for one in result["controllers"]}
+    lines = [f"{controller}: {conclusion}" for controller, conclusion in conclusions.items()]
+    _show_study({"study": "wrong-signals", "controllers": conclusions}, out, FILES, lines, json_=json_)
+
+
+def _named_grid(name: str) -> Case:
+    """Return the case that an option --grid means."""
+    from interarea.models.case.document import case_names
+    from interarea.models.errors import UserError
+
+    from .grids import grid_of
+
+    if (loaded := grid_of(name)) is None:
+        raise UserError(
+            f"--grid {name}: no grid, allowed: a case file, .raw, .m, or one of {', '.join(case_names())}"
         )
+    return loaded[0]
+
+
+def _show_study(
+    summary: Mapping[str, object], out: Path, files: Sequence[str], lines: Sequence[str], *, json_: bool
+) -> None:
+    """Print the files of a bundled study, or its summary and them as JSON; its conclusions on stderr."""
+    paths = [str(out / name) for name in files]
+    if json_:
+        typer.echo(json.dumps({**summary, "files": paths}, indent=2))
     else:
-        for file in FILES:
-            typer.echo(out / file)
-    for one in result["controllers"]:
-        note(f"{one['controller']}: {one['conclusion']}")
+        for path in paths:
+            typer.echo(path)
+    for line in lines:
+        note(line)
 
 
 def _choices_of(name: str, dyr: Path | None, minutes: float | None) -> Choices:
