@@ -14,6 +14,8 @@ from interarea.models.grid.sparse_pattern import sparse_pattern
 ComplexArray = npt.NDArray[np.complex128]
 IntArray = npt.NDArray[np.int64]
 
+_LEAST_PIVOT = 1e-3  # of the largest entry in its column; below that no diagonal pivots
+
 
 class Elimination:
     """The buses without a device taken out of G once, those on no path between devices: no fill."""
@@ -91,9 +93,12 @@ class Network:
         """entries : of the matrix, on the pattern of `left.kept`."""
         retained = left.kept
         matrix = sparse.csc_matrix((entries, retained.indices, retained.indptr), shape=retained.shape)
-        # the order is a good one already, and the diagonal carries the devices: nobody pivots
+        # the order is a good one already, and the diagonal carries the devices: where it does not, such as at
+        # a bus of a lossless machine whose conductance is rounding alone, another row of the column pivots
         self._complex = matrix.dtype.kind == "c"
-        self._lu = splu(matrix, permc_spec="NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+        self._lu = splu(
+            matrix, permc_spec="NATURAL", diag_pivot_thresh=_LEAST_PIVOT, options={"SymmetricMode": True}
+        )
 
     def solve(self, right: npt.NDArray[Any], transposed: bool = False) -> npt.NDArray[Any]:
         """Return what is left of the network solved for (rows, ...)."""
