@@ -66,6 +66,19 @@ def test_its_current_is_that_of_the_closed_form_and_it_stops_at_imax():
     assert p > 1.05  # so it did move
 
 
+def test_a_deadband_of_no_width_is_none_in_the_linear_model():
+    """The plant control acts: d rpi' = Ki d e and d qext' = (Kp d e + d rpi - d qext)/Tfv, e the error."""
+    shim = BlockShim(plant_block(with_converter("remote", plant_Kp=2.0, plant_Ki=5.0)))
+    A, at = shim.jacobians()[0], {n: k for k, n in enumerate(shim.state_names)}
+    measured, integral, order = (at[f"pv1.{n}"] for n in ("rv", "rpi", "qext"))
+    assert A[integral, measured] == pytest.approx(-5.0)
+    assert A[order, measured] == pytest.approx(-2.0 / PLANT["plant_Tfv"])
+    by_voltage = BlockShim(plant_block(with_converter("alone", Kqv=2.0)))
+    at = {n: k for k, n in enumerate(by_voltage.state_names)}
+    # iq' = (iqcmd - iq)/Tg, of which Kqv (Vref0 - vm)
+    assert by_voltage.jacobians()[0][at["pv1.iq"], at["pv1.vm"]] < -2.0 / 0.02 + 15.0
+
+
 @pytest.mark.parametrize(
     ("more", "says"),
     [
