@@ -17,7 +17,8 @@ FUNCTIONS = {
     "load_case": "name_or_path: str | Path -> Case",
     "import_case": "grid: str | Path, *, dyr: str | Path | None = None, frequency_hz: float | None = None, "
     "P_exponent: float | None = None, Q_exponent: float | None = None, strict: bool = False, "
-    "island: int | str | None = None, converters: str = 'model', coordinates: str | Path | None = None, "
+    "island: int | str | None = None, converters: str = 'model', dc_lines: str = 'model', "
+    "coordinates: str | Path | None = None, "
     "release_limits: bool = False, devices: Sequence[str | Path] = (), "
     "leave_out: Sequence[str] = (), replace: Mapping[str, str] | None = None, "
     "report: Callable[[str], object] | None = None -> Case",

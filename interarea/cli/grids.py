@@ -46,6 +46,9 @@ def import_grid(
             "--converters", metavar="model|current", help="or converters, units without data as currents"
         ),
     ] = "model",
+    dc_lines: Annotated[
+        str, typer.Option("--dc-lines", metavar="model|power", help="or dc lines as constant powers")
+    ] = "model",
     coordinates: Annotated[
         Path | None, typer.Option("--coordinates", metavar="CSV", help="bus, latitude, longitude")
     ] = None,
@@ -86,6 +89,7 @@ def import_grid(
         strict=strict,
         island=int(island) if island is not None and island.isdecimal() else island,
         converters=converters,
+        dc_lines=dc_lines,
         coordinates=coordinates,
         release_limits=release_limits,
         devices=device or (),

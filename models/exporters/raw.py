@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable
 from ..case.case import Case
 from ..case.schema import Branch, Machine
 from ..errors import CaseError
+from ..grid.dc_link import link_point
 from ..grid.powerflow import PowerFlow, solve_powerflow
 from ..grid.series import compensated
 from .written import Written, is_transformer, losses_of_network, named, types_of_buses
@@ -49,12 +50,12 @@ def raw_of(case: Case, flow: PowerFlow | None = None) -> Written:
         "INDUCTION MACHINE",
     )  # fmt: skip
     for name, following in zip(rest, (*rest[1:], ""), strict=True):
-        _section(lines, name, following, ())
+        _section(lines, name, following, _links(case, flow) if name == "TWO-TERMINAL DC" else ())
     return Written("\n".join([*lines, "Q", ""]), tuple(_losses(original, charged)))
 
 
 def _losses(case: Case, charged: list[Branch]) -> list[str]:
-    losses = losses_of_network(case)
+    losses = losses_of_network(case, links=True)
     long = [str(bus.number) for bus in case.buses if len(bus.name) > _LONGEST_NAME]
     if long:
         losses.append(f"names of buses beyond {_LONGEST_NAME} characters (bus {named(long)})")
@@ -124,6 +125,26 @@ def _transformer(b: Branch, circuit: str) -> str:
     head = f"{b.from_bus},{b.to_bus},0,'{circuit}',1,1,1,0.0,0.0,2,'            ',{int(b.in_service)},1,1"
     winding = f"{b.tap!r},0.0,{b.shift_deg!r},0,0,0,0,0,1.1,0.9,1.1,0.9,33,0,0,0,0"
     return "\n".join([head, f"{b.r!r},{b.x!r},{100.0!r}", winding, "1.0,0.0"])
+
+
+def _links(case: Case, flow: PowerFlow) -> Iterable[str]:
+    """Three lines each; the transformers are in EBAS, the scheduled voltage is that at rest."""
+    for row in case.hvdcs:
+        ends = (row.rectifier_bus, row.inverter_bus)
+        point = link_point(row, *(abs(flow.voltage(bus)) for bus in ends))
+        mode, order = (2, 1000.0 * row.idc_ka) if row.idc_ka is not None else (1, row.P_mw)
+        name = row.name.removeprefix("hvdc_")[:_LONGEST_NAME]
+        yield (
+            f"'{name}',{mode},{row.r_ohm!r},{order!r},{float(point.vdi * row.vdc_kv)!r},0.0,0.0,"
+            f"{row.margin!r},'I',0.0,20,1.0"
+        )
+        of = (
+            (row.alpha_min_deg, row.rectifier_kv, row.rectifier_xc_ohm),
+            (row.gamma_min_deg, row.inverter_kv, row.inverter_xc_ohm),
+        )
+        for bus, (least, kv, xc) in zip(ends, of, strict=True):
+            tap = "1.0,1.0,1.5,0.51,0.00625"
+            yield f"{bus},{row.bridges},90.0,{least!r},0.0,{xc!r},{kv!r},{tap},0,0,0,'1',0.0"
 
 
 def machine_identities(case: Case) -> dict[str, str]:

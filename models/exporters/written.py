@@ -34,15 +34,13 @@ def types_of_buses(case: Case) -> dict[int, int]:
     return {m.bus: 3 if m.slack else 2 for m in sorted(case.machines, key=lambda m: m.slack)}
 
 
-def losses_of_network(case: Case) -> list[str]:
-    """Return what no file of a power flow holds."""
+def losses_of_network(case: Case, *, links: bool = False) -> list[str]:
+    """Return what no file of a power flow holds; links : it holds dc links, without their control."""
     losses = []
     curved = [q.name for q in case.loads if q.P_zip or q.Q_zip or (q.P_exponent, q.Q_exponent) != (2.0, 2.0)]
     if curved:
         losses.append(f"how loads follow the voltage ({named(curved)})")
-    if case.at_buses:
-        names = named(d.name for d in case.at_buses)
-        losses.append(f"SVCs, STATCOMs, converters and dc links with their power ({names})")
+    losses += _devices(case, links=links)
     if case.tcscs:
         losses.append(f"that series capacitors move ({named(row.name for row in case.tcscs)})")
     if case.tie is not None:
@@ -51,4 +49,17 @@ def losses_of_network(case: Case) -> list[str]:
         losses.append("the events")
     if case.solver_step_s is not None:
         losses.append("the solver step")
+    return losses
+
+
+def _devices(case: Case, *, links: bool) -> list[str]:
+    """What is lost of devices at buses."""
+    losses = []
+    others = [d.name for d in ((*case.svcs, *case.converters) if links else case.at_buses)]
+    if others:
+        what = "SVCs, STATCOMs and converters" if links else "SVCs, STATCOMs, converters and dc links"
+        losses.append(f"{what} with their power ({named(others)})")
+    if links and case.hvdcs:
+        names = named(row.name for row in case.hvdcs)
+        losses.append(f"control, rating and inductance of dc links ({names})")
     return losses

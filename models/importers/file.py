@@ -34,6 +34,7 @@ def import_grid(
     strict: bool = False,
     island: int | str | None = None,
     converters: str = "model",
+    dc_lines: str = "model",
     coordinates: str | Path | None = None,
     release_limits: bool = False,
     devices: Sequence[str | Path] = (),
@@ -42,7 +43,8 @@ def import_grid(
 ) -> Imported:
     """Return the grid of a file of PSS/E or MATPOWER, or of a name in `PUBLISHED`; options as `import_psse`.
 
-    converters : "model", what their records say, or "current" for constant currents. release_limits : widen
+    converters : "model", what their records say, or "current" for constant currents. dc_lines : "model", dc
+    links where two-terminal lines can be that, or "power" for constant powers. release_limits : widen
     the limits that keep controls from resting where their machines start. leave_out, replace_models : models
     of DYR records to pass over, and to read as another.
 
@@ -63,13 +65,12 @@ def import_grid(
     file = Path(grid)
     if str(grid) in PUBLISHED and not file.exists():
         how |= {"converters": converters, "release_limits": release_limits, "replace_models": replace_models}
-        how |= models
+        how |= models | {"dc_lines": dc_lines}
         return _import_published(str(grid), dyr, how)
     if not file.is_file():
         what = "is a folder" if file.is_dir() else "is no regular file" if file.exists() else "no such file"
         raise CaseError(f"{file}: {what}, allowed: {FORMATS}, or {', '.join(PUBLISHED)}")
-    if converters not in ("model", "current"):
-        raise CaseError(f"converters = {converters!r}, allowed: model, current")
+    _check_choices(converters, dc_lines)
     _check_numbers(frequency_hz, P_exponent=P_exponent, Q_exponent=Q_exponent)
     suffix = (Path(file.stem) if file.suffix.lower() in _PACKED else file).suffix.lower()
     if suffix == ".m":
@@ -81,9 +82,8 @@ def import_grid(
             raise CaseError(f"{file}: has no DYR file, so there is no model to leave out or to replace")
         return import_matpower(file, **how)
     if suffix in (".raw", ".rawx"):
-        current = converters == "current"
-        how |= models
-        imported = import_psse(file, dyr, converters_as_current=current, replace=replace_models, **how)
+        models |= {"converters_as_current": converters == "current", "dc_lines_as_power": dc_lines == "power"}
+        imported = import_psse(file, dyr, replace=replace_models, **how, **models)
         return imported if dyr is None else _started(imported, release=release_limits)
     raise CaseError(f"{file}: suffix {suffix!r}, allowed: {FORMATS}")
 
@@ -97,6 +97,13 @@ def _import_published(name: str, dyr: str | Path | None, how: dict[str, Any]) ->
     source = PUBLISHED[name].source
     imported.report.lines.append(source)
     return replace(imported, case=imported.case.model_copy(update={"source": source}))
+
+
+def _check_choices(converters: str, dc_lines: str) -> None:
+    if converters not in ("model", "current"):
+        raise CaseError(f"converters = {converters!r}, allowed: model, current")
+    if dc_lines not in ("model", "power"):
+        raise CaseError(f"dc_lines = {dc_lines!r}, allowed: model, power")
 
 
 def _check_numbers(frequency_hz: float | None, **exponents: float | None) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -10,13 +11,17 @@ from typing import Any
 
 from ..case.case import Case, case_of, devices_of
 from ..case.document import with_device_texts
+from ..case.hvdc_schema import Hvdc
 from ..errors import CaseError
+from ..grid.dc_link import link_point
+from ..grid.powerflow import solve_powerflow
 from .document import case_name, document_of, load_exponents, unit_names
 from .dynamics import Dynamics, machine_dynamics, read_dynamics, replaced
 from .imported import Imported
 from .load_records import take_load_records
 from .places import read_places
 from .raw.converters import read_converters
+from .raw.dc_links import link_rows, said, take_links, wheres
 from .raw.file import RawFile, read_raw
 from .raw.lines import read_lines_of
 from .raw.motors import read_motors
@@ -25,9 +30,11 @@ from .raw.nodes import read_nodes
 from .raw.rawx import is_rawx, read_rawx
 from .raw.transformers import read_transformers
 from .report import Report
-from .static import USUAL_HZ, StaticGrid
+from .static import USUAL_HZ, StaticGrid, StaticLink
 from .stored import decide_units_at_load_buses, solve_stored
 from .topology import settle, slacks_of
+
+_ROUNDS, _STILL_DEG = 50, 1e-6  #: of the extinction angles of dc links
 
 
 def import_psse(
@@ -40,6 +47,7 @@ def import_psse(
     strict: bool = False,
     island: int | str | None = None,
     converters_as_current: bool = False,
+    dc_lines_as_power: bool = False,
     coordinates: str | Path | None = None,
     frequency_hz: float | None = None,
     devices: Sequence[str | Path] = (),
@@ -54,11 +62,11 @@ def import_psse(
     strict : an assumption is an error. island : a bus of the island to keep, when there are several,
         or "all" with a slack bus.
     converters_as_current : converters become constant currents instead of what their records say.
-    coordinates : CSV
-    with bus, latitude, longitude. frequency_hz : for a file that has none; 60 Hz when not given. devices :
-    files of user-defined devices, which records of their names (USRMDL or not) become. leave_out : models
-    whose records are passed over. replace : model -> the one that its records are read as, by the order of
-    their fields.
+    dc_lines_as_power : two-terminal dc lines stay constant powers, where a dc link could hold them too.
+    coordinates : CSV with bus, latitude, longitude. frequency_hz : for a file that has none; 60 Hz when not
+    given. devices : files of user-defined devices, which records of their names (USRMDL or not) become.
+    leave_out : models whose records are passed over. replace : model -> the one that its records are read
+    as, by the order of their fields.
 
     Raises
     ------
@@ -92,6 +100,7 @@ def import_psse(
             raise CaseError(f"{dyr}: no machine model for any unit of {path.name}, allowed: at least one")
         _compare_reactances(grid, names, dynamics, report)
         grid.source += f" and {Path(dyr).name}"
+    links = take_links(grid, solution.voltages, report, as_power=dc_lines_as_power)
     exponents = load_exponents(P_exponent, Q_exponent, grid, report, str(path))
     document = document_of(
         grid,
@@ -103,9 +112,42 @@ def import_psse(
         svcs={names.index(n) for n in dynamics.svcs},
     )
     _take_rows(document, dynamics)
+    document["hvdcs"] = link_rows(links, solution.voltages)
     document["devices"] = provided["devices"]
     lines = {name: unit.where for name, unit in zip(names, grid.units, strict=True)} | dynamics.where
-    return Imported(_case_with_lines(document, str(path), lines), report, solution)
+    lines |= wheres(links)
+    case = _case_with_lines(document, str(path), lines)
+    return Imported(_settled(case, links, report), report, solution)
+
+
+def _settled(case: Case, links: Mapping[str, StaticLink], report: Report) -> Case:
+    """The case with the dc voltages of the file at the solution of its own power flow.
+
+    The links' reactive power is not that of the file, so voltages and extinction angles move with it.
+    """
+    if not links:
+        return case
+    try:
+        for _ in range(_ROUNDS):
+            flow = solve_powerflow(case)
+            voltages = dict(zip((bus.number for bus in case.buses), flow.voltages.tolist(), strict=True))
+            rows = link_rows(links, voltages)
+            moved = max(
+                abs(row["gamma_deg"] - was.gamma_deg)
+                for row, was in zip(rows.values(), case.hvdcs, strict=True)
+            )
+            if moved <= _STILL_DEG:
+                break
+            case = case.model_copy(update={"hvdcs": tuple(Hvdc(name=n, **row) for n, row in rows.items())})
+        else:
+            raise CaseError(f"{case.name}: extinction angles of its dc links still move by {moved:.3g} deg")
+    except CaseError as error:
+        raise CaseError(f"{error}; keep dc lines as constant powers (--dc-lines power)") from None
+    for (name, link), row in zip(links.items(), case.hvdcs, strict=True):
+        u = (abs(voltages[row.rectifier_bus]), abs(voltages[row.inverter_bus]))
+        alpha = math.degrees(link_point(row, *u).alpha)
+        report.lines.append(said(link, name, rows[name], alpha))
+    return case
 
 
 def _take_rows(document: dict[str, Any], dynamics: Dynamics) -> None:
@@ -133,7 +175,7 @@ def _case_with_lines(document: dict[str, Any], where: str, lines: Mapping[str, s
     try:
         return case_of(document, where=where)
     except CaseError as error:
-        machine = re.search(r"(?:machines|converters|svcs)\.(\w+)", str(error))
+        machine = re.search(r"(?:machines|converters|svcs|hvdcs)\.(\w+)", str(error))
         line = lines.get(machine.group(1)) if machine else None
         raise CaseError(f"{error} (given at {line})" if line else str(error)) from None
 

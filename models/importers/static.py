@@ -120,6 +120,18 @@ class StaticUnit:
         self.home = self.home or self.bus
 
 
+@dataclass(slots=True)
+class StaticLink:
+    """A two-terminal dc line, whose converters also stand among the loads; `row` of a case without angles."""
+
+    name: str
+    where: str
+    loads: tuple[StaticLoad, StaticLoad]  #: of rectifier and inverter
+    volts: tuple[float, float]  #: dc voltages of both, kV
+    current: float  #: kA
+    row: dict[str, float]
+
+
 @dataclass
 class StaticGrid:
     """All elements of a file; buses by number in the order of the file."""
@@ -132,6 +144,7 @@ class StaticGrid:
     shunts: list[StaticShunt] = field(default_factory=list)
     loads: list[StaticLoad] = field(default_factory=list)
     units: list[StaticUnit] = field(default_factory=list)
+    links: list[StaticLink] = field(default_factory=list)
     alias: dict[int, int] = field(default_factory=dict)  #: bus joined to another -> that one
     added: int = 0  #: number of the bus added last
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from ..report import Report
-from ..static import StaticBranch, StaticGrid, StaticLoad
+from ..static import StaticBranch, StaticGrid, StaticLink, StaticLoad
 from .file import RawFile
 from .identities import usable
 from .record import Record
@@ -20,7 +20,6 @@ def read_converters(raw: RawFile, grid: StaticGrid, report: Report) -> None:
             report.drop("blocked dc line", record.where)
             continue
         _two_terminal(record, raw, grid, report)
-        report.assume("dc line taken as constant P and Q at its converters", record.where)
     for record in usable(raw.records("VSC dc"), grid, report):
         if record.whole("MDC", 1) == 0:
             report.drop("VSC line out of service", record.where)
@@ -35,11 +34,12 @@ def read_converters(raw: RawFile, grid: StaticGrid, report: Report) -> None:
 
 def _add(
     grid: StaticGrid, record: Record, bus: int, letter: str, end: str, power: complex, *, q_free: bool = False
-) -> None:
+) -> StaticLoad:
     bus = grid.bus(bus, record.where).number
     load = StaticLoad(bus, letter, f"{record.text('NAME')}_{end}", power.real, power.imag, record.where)
     load.follows, load.q_free = _INJECTION, q_free
     grid.loads.append(load)
+    return load
 
 
 def _two_terminal(record: Record, raw: RawFile, grid: StaticGrid, report: Report) -> None:
@@ -59,6 +59,7 @@ def _two_terminal(record: Record, raw: RawFile, grid: StaticGrid, report: Report
         current = 2.0 * abs(setting) / (volts + math.sqrt(inside))
     at_inverter = volts - compounding * current
     at_rectifier = at_inverter + resistance * current
+    loads = []
     for converter, end, dc_volts, sign in (
         (rectifier, "R", at_rectifier, 1.0),
         (inverter, "I", at_inverter, -1.0),
@@ -66,7 +67,30 @@ def _two_terminal(record: Record, raw: RawFile, grid: StaticGrid, report: Report
         number = converter.bus("IP")
         bus = grid.bus(number, converter.where)
         q = reactive_power(converter, bus.v, dc_volts, current, sign, report)
-        _add(grid, record, number, "D", end, complex(sign * dc_volts * current, q))
+        loads.append(_add(grid, record, number, "D", end, complex(sign * dc_volts * current, q)))
+    order = {"idc_ka": current} if mode == 2 else {"P_mw": at_rectifier * current}
+    row = {"vdc_kv": volts, "r_ohm": resistance, **order, "margin": record.number("DELTI", 0.0)}
+    row |= {
+        f"{end}_{key}": value
+        for end, converter in (("rectifier", rectifier), ("inverter", inverter))
+        for key, value in _of_link(converter).items()
+    }
+    grid.links.append(
+        StaticLink(
+            record.text("NAME"), record.where, (loads[0], loads[1]), (at_rectifier, at_inverter), current, row
+        )
+    )
+
+
+def _of_link(converter: Record) -> dict[str, float]:
+    """What of a converter a link needs; `rc_ohm`, `xcap_ohm` are no keys of its row."""
+    return {
+        "bridges": converter.whole("NB"),
+        "kv": converter.number("EBAS") * converter.number("TR", 1.0) / converter.number("TAP", 1.0),
+        "xc_ohm": converter.number("XC"),
+        "rc_ohm": converter.number("RC", 0.0),
+        "xcap_ohm": converter.number("XCAP", 0.0),
+    }
 
 
 def reactive_power(

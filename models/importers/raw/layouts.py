@@ -56,7 +56,10 @@ _FIELDS: dict[str, tuple[tuple[int, str], ...]] = {
     ),
     "area": ((23, "I ISW PDES PTOL ARNAME"),),
     "two-terminal dc": ((23, "NAME MDC RDC SETVL VSCHD VCMOD RCOMP DELTI METER DCVMIN CCCITMX CCCACC"),),
-    "dc converter": ((23, "IP NB ANMX ANMN RC XC EBAS TR TAP TMX TMN STP"),),
+    "dc converter": (
+        (23, "IP NB ANMX ANMN RC XC EBAS TR TAP TMX TMN STP IC IF IT ID XCAP"),
+        (35, "IP NB ANMX ANMN RC XC EBAS TR TAP TMX TMN STP IC ND IF IT ID XCAP"),
+    ),
     "VSC dc": ((29, f"NAME MDC RDC {_OWNERS}"),),
     "VSC converter": (
         (29, "IBUS TYPE MODE DCSET ACSET ALOSS BLOSS MINLOSS SMAX IMAX PWF MAXQ MINQ REMOT RMPCT"),
