@@ -5,8 +5,9 @@
 Every command that starts a process, and `compare`, which spends its time in an FMU's callbacks, gets SIGINT,
 SIGTERM, SIGHUP and SIGKILL, sent to its own process alone. Five seconds later no process may live that it has
 started; its temporary folder is empty (after SIGKILL: once the next command has run); every file under its
-name is whole. `build` and `ssp` begin with an empty cache, so that compilers run. Of a process that
-lives on it says how much processor time it had since, which is little on a busy machine, and where it is.
+name is whole. `study`, `build`, `ssp` and `dll` begin with an empty cache, so that compilers run. Of a
+process that lives on it says how much processor time it had since, which is little on a busy machine, and
+where it is.
 """
 
 from __future__ import annotations
@@ -35,6 +36,8 @@ import pyarrow.parquet as pq
 sys.path.append(str(Path(__file__).resolve().parents[1]))
 from misbehaving import misbehaving_fmu
 
+from interarea.fmu_build.open.images import read_image
+
 SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP", "SIGKILL")
 LIMIT_S = 5.0
 _MARK = "INTERAREA_SIGNAL_TEST"  # in the environment of all that a command starts
@@ -48,10 +51,18 @@ COMMANDS = {
     "study": "study thesis --out {out}",
     "build": "build two-area-thesis --out {out}",
     "ssp": "ssp ring-down --out {out}/a.ssp",
+    "dll": "build two-area-thesis --controller robust --dll linux64,win64 --out {out}",
+    "grid": "study two-area-thesis --minutes 1 --out {out}",
     "check": "check {files}/two-area-thesis.fmu",
 }
-EMPTY_CACHE = {"study", "build", "ssp"}
-LONGEST_S = {"study": 40.0, "build": 20.0, "ssp": 20.0}  # of the wait before the signal; others 6 s
+EMPTY_CACHE = {"study", "build", "ssp", "dll"}
+LONGEST_S = {
+    "study": 40.0,
+    "build": 20.0,
+    "ssp": 20.0,
+    "dll": 20.0,
+    "grid": 20.0,
+}  # of the wait before the signal; others 6 s
 
 _SWEEP = """
 [scenario]
@@ -191,9 +202,10 @@ def whole(path: Path) -> bool:
         ".svg": lambda: ElementTree.parse(path),
         ".csv": lambda: list(csv.reader(path.open(encoding="utf-8"), strict=True)),
         ".html": lambda: _require(path.read_text(encoding="utf-8").rstrip().endswith("</html>")),
+        ".dll": lambda: read_image(path.read_bytes()),
         ".fmu": lambda: _require(zipfile.ZipFile(path).testzip() is None),
     }
-    kinds[".ssp"] = kinds[".fmu"]
+    kinds |= {".ssp": kinds[".fmu"], ".so": kinds[".dll"]}
     try:
         kinds.get(path.suffix, lambda: None)()
     except Exception:  # whatever its reader raises
