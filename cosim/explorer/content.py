@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from pydantic import TypeAdapter
 
 from interarea.design.controllers.controller import Controller
 from interarea.design.linear.linearise import LinearisationError
+from interarea.models.blocks.channel import SIGNAL_FAULT
 from interarea.models.blocks.plant import event_parameters, shortest_time_s
 from interarea.models.blocks.plant_variables import EVENT_CODES
 from interarea.models.case.case import Case
@@ -18,6 +21,7 @@ from interarea.models.grid.network import load_power
 from ..run.swing_signal import swing_of
 from ..scenario.channels import BernoulliLoss, GilbertElliottLoss
 from ..scenario.scenario import Scenario
+from ..scenario.signal_faults import SWAP, SignalFault, wrong_kinds
 from .layout import bus_positions
 from .linear import modal
 from .models import SLOTS, step_s
@@ -41,6 +45,9 @@ RANGES: dict[str, tuple[float, float]] = {
     "interval": (0.0, 200.0),
     "hold": (0.0, 2000.0),
 }
+#: kinds of a wrong signal that a page leaves out: one needs a concentrator, one a whole number of packets
+_LEFT_OUT = (SWAP, "replay")
+_SIZES = {"size", "rate_per_s", "rms", "amplitude"}  #: keys of a kind in the unit of the signal
 
 
 def content_of(subject: Subject) -> dict[str, Any]:
@@ -50,7 +57,7 @@ def content_of(subject: Subject) -> dict[str, Any]:
     ------
     ScenarioError : more events than a page can set.
     """
-    scenario, case = subject.scenario, subject.case
+    scenario, case, wrong = subject.scenario, subject.case, _wrong(subject)
     return {
         "version": VERSION,
         "name": scenario.name,
@@ -74,17 +81,41 @@ def content_of(subject: Subject) -> dict[str, Any]:
         "tie": None if case.tie is None else {"branches": list(case.tie.branches)},
         "swing": _swing(subject),
         "channels": [
-            {"name": name, "signal": signal, "table": dict(table)}
+            {"name": name, "signal": signal, "table": dict(table), "kinds": _kinds(signal, table, wrong)}
             for name, (signal, table) in subject.channels.items()
         ],
+        "wrong": wrong,
         "controllers": [_controller(subject, name) for name in subject.controllers],
         "points": [_point(subject, k) for k in range(len(subject.points))],
         "events": _events(subject),
         "ceilings": _ceilings(subject),
         "plant": dict(scenario.plant),
         "start": state_of(subject),
-        "ranges": {**RANGES, "lost": (0.0, scenario.stop_s), "back": (0.0, scenario.stop_s)},
+        "ranges": {**RANGES, **dict.fromkeys(("lost", "back", "since"), (0.0, scenario.stop_s))},
     }
+
+
+def _wrong(subject: Subject) -> dict[str, dict[str, Any]]:
+    """What can be wrong with a speed: table of `signal_faults` (kind, size, detail), code in the FMU."""
+    poles = np.linalg.eigvals(subject.linear(subject.points[0]).A)
+    swings = [s for s in poles if 0.1 <= s.imag / (2.0 * np.pi) <= 2.5]
+    weakest_hz = max(swings, key=lambda s: s.real / abs(s)).imag / (2.0 * np.pi) if swings else 0.5
+    codes = {kind: number for kind, number, _ in SIGNAL_FAULT.items}
+    kinds: dict[str, dict[str, Any]] = {}
+    for words, table in wrong_kinds(subject.case.frequency_hz, weakest_hz).items():
+        if table["kind"] not in _LEFT_OUT:
+            fault: Any = TypeAdapter(SignalFault).validate_python({**table, "start_s": 0.0})
+            kinds[words] = {"table": table, "code": codes[fault.kind], "packets": fault.packets}
+    return kinds
+
+
+def _kinds(signal: str, table: Mapping[str, Any], wrong: Mapping[str, Any]) -> list[str]:
+    """What a page can make wrong with a signal; first what the scenario has."""
+    faults = table.get("signal_faults", ())
+    if len(faults) > 1:  # the page sets one
+        return ["given"]
+    fits = [words for words, w in wrong.items() if signal.endswith("_dw") or _SIZES.isdisjoint(w["table"])]
+    return [*(["given"] if faults else []), "none", *fits]
 
 
 def _solver(subject: Subject) -> dict[str, float]:

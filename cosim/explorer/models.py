@@ -8,6 +8,7 @@ from typing import Any
 
 from interarea.fmu_build.write.description_xml import record_entries
 from interarea.models.blocks.binary_table import pack_record
+from interarea.models.blocks.sizes import SIGNAL_FAULTS
 from interarea.models.blocks.variables import Block
 
 from ..export.container import container_block
@@ -21,7 +22,12 @@ BOOLEAN = 0x80000000  #: marks a reference of a Boolean, as page.c reads it
 SLOTS = 4  #: events that a page sets
 _PLANT_PARAMETERS = ("plant.event[", "plant.solver.step")
 _CONTROLLER_PARAMETERS = ("controller.C[", "controller.D[", "controller.limit")
-_UNTOUCHED = ("quantile[", "quantum", "pdc_wait", "fault[")  #: of a channel: as the scenario has them
+_UNTOUCHED = (
+    "quantile[",
+    "quantum",
+    "pdc_wait",
+    *(f"fault[{k}" for k in range(2, 1 + SIGNAL_FAULTS)),
+)  #: of a channel: as the scenario has them
 
 
 def models_of(subject: Subject) -> tuple[list[dict[str, Any]], list[bytes]]:

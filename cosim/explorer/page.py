@@ -31,6 +31,7 @@ _SHARED = ("settings.js", "verdict.js")  #: by page and worker
 _WORKER = ("eigenvalues.js", "worker.js")
 _AFTER = re.compile(r"\s+/\*[^*]*\*/$")  #: a comment behind code
 _TIGHT = re.compile(r"([:;,{}])\s+|\s+(?=\{)")  #: spaces and ends of lines that a style sheet does without
+_BRACE = re.compile(r"(\)|=>) \{$")  #: what opens a block at the end of a line
 _PAGE = ("link.js", "plots.js", "diagram.js", "controls.js", "page.js")
 
 
@@ -136,5 +137,5 @@ def _compact(text: str) -> str:
         if comment or line.startswith("/*"):
             comment = "*/" not in line
         elif line:
-            lines.append(_AFTER.sub("", line))
+            lines.append(_BRACE.sub(r"\1{", _AFTER.sub("", line)))
     return "\n".join(lines)

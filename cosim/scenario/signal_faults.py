@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
@@ -15,6 +15,7 @@ from ..clock import on_tick
 if TYPE_CHECKING:  # tables are checked before what runs them, numpy with it, is loaded
     from ..master.instances import Value
 
+SWAP = "swap"
 _NEVER_S = 1e30  # what a window without an end has as one, as an outage of the FMU that is off
 
 Seconds = Annotated[float, Field(ge=0.0)]
@@ -221,6 +222,34 @@ SignalFault = Annotated[
     | SwappedSignal,
     Field(discriminator="kind"),
 ]
+
+
+def wrong_kinds(rated_hz: float, mode_hz: float) -> dict[str, dict[str, Any]]:
+    """Return what is wrong in words -> its table of `signal_faults`, without start: twelve kinds, some twice.
+
+    rated_hz : of the grid; signals are speeds in pu. mode_hz : of its inter-area swing.
+    """
+    return {
+        "stuck": {"kind": "stuck"},
+        "zero": {"kind": "scale", "factor": 0.0},
+        "times 3": {"kind": "scale", "factor": 3.0},
+        "times 10": {"kind": "scale", "factor": 10.0},
+        "polarity": {"kind": "polarity"},
+        "bias of 100 mHz": {"kind": "bias", "size": 0.1 / rated_hz},
+        "ramp of 50 mHz/s": {"kind": "ramp", "rate_per_s": 0.05 / rated_hz},
+        "drift to 100 mHz": {"kind": "drift", "size": 0.1 / rated_hz, "time_s": 2.0},
+        "replay of 1.5 s": {"kind": "replay", "length_s": 1.5},
+        "spikes of 500 mHz, 5 %": {"kind": "spike", "size": 0.5 / rated_hz, "probability": 0.05},
+        "noise of 10 mHz": {"kind": "noise", "rms": 0.01 / rated_hz},
+        "stamp 0.3 s wrong": {"kind": "time_error", "offset_s": 0.3},
+        "stamp 0.8 s wrong": {"kind": "time_error", "offset_s": 0.8},
+        "sine of 50 mHz at the mode": {
+            "kind": "oscillating",
+            "amplitude": 0.05 / rated_hz,
+            "frequency_hz": round(mode_hz, 2),
+        },
+        "swapped with another": {"kind": SWAP},
+    }
 
 
 def check_faults(faults: Sequence[SignalFault], interval_s: float, signals: int = 1) -> None:

@@ -14,42 +14,14 @@ from interarea.models.case.case import Case
 from ..designs.acceptance import FaultPlace
 from ..designs.design_file import DesignTable
 from ..errors import ScenarioError
+from ..scenario.signal_faults import SWAP
 
 Judged: TypeAlias = Controller | ControllerBank
 START_S, WRONG_S, STOP_S = 1.0, 1.5, 20.0  #: disturbance; the signal is wrong from then on; end of the run
 INTERVAL_S = 0.02  #: between packets
 REMOTE_S, WITNESS_S = 0.1, 0.05  #: latency; a signal of an actuator's own machine comes at once
-SWAP = "swap"
 REST, PULSE, FAULT, TRIP = DISTURBANCES = ("rest", "pulse", "bus fault", "tie trip")
 LEAST_SIGNALS = 4  #: that are compared: with the wrong one left out three agree
-
-
-def wrong_kinds(rated_hz: float, mode_hz: float) -> dict[str, dict[str, Any]]:
-    """Return what is wrong in words -> its table of `signal_faults`, without start: twelve kinds, some twice.
-
-    rated_hz : of the grid; signals are speeds in pu. mode_hz : of its inter-area swing.
-    """
-    return {
-        "stuck": {"kind": "stuck"},
-        "zero": {"kind": "scale", "factor": 0.0},
-        "times 3": {"kind": "scale", "factor": 3.0},
-        "times 10": {"kind": "scale", "factor": 10.0},
-        "polarity": {"kind": "polarity"},
-        "bias of 100 mHz": {"kind": "bias", "size": 0.1 / rated_hz},
-        "ramp of 50 mHz/s": {"kind": "ramp", "rate_per_s": 0.05 / rated_hz},
-        "drift to 100 mHz": {"kind": "drift", "size": 0.1 / rated_hz, "time_s": 2.0},
-        "replay of 1.5 s": {"kind": "replay", "length_s": 1.5},
-        "spikes of 500 mHz, 5 %": {"kind": "spike", "size": 0.5 / rated_hz, "probability": 0.05},
-        "noise of 10 mHz": {"kind": "noise", "rms": 0.01 / rated_hz},
-        "stamp 0.3 s wrong": {"kind": "time_error", "offset_s": 0.3},
-        "stamp 0.8 s wrong": {"kind": "time_error", "offset_s": 0.8},
-        "sine of 50 mHz at the mode": {
-            "kind": "oscillating",
-            "amplitude": 0.05 / rated_hz,
-            "frequency_hz": round(mode_hz, 2),
-        },
-        "swapped with another": {"kind": SWAP},
-    }
 
 
 @dataclass(frozen=True)

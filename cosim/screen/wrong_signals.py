@@ -24,17 +24,9 @@ from ..designs.acceptance import FaultPlace
 from ..designs.family import FamilyPlant
 from ..designs.fault_runs import TOGETHER, FaultRuns, Outcome
 from ..results.verdict import LOST, STABLE
+from ..scenario.signal_faults import SWAP, wrong_kinds
 from ..trajectory import Trajectory
-from .wrong_runs import (
-    SWAP,
-    WRONG_S,
-    Judged,
-    Signals,
-    WrongRun,
-    disturbances_of,
-    signals_of,
-    wrong_kinds,
-)
+from .wrong_runs import WRONG_S, Judged, Signals, WrongRun, disturbances_of, signals_of
 
 RIGHT = "nothing wrong"
 NAMED_SHARE = 0.99  #: of the isolations, of the right signal

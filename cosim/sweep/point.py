@@ -11,6 +11,7 @@ Paths (the first word says where):
     controller.PARAMETER            any parameter of its FMU, such as limit or "A[1,1]"
     channels.NAME.KEY               any entry of a channel; NAME may be *
     concentrators.NAME.KEY          any entry of a concentrator, NAME may be *; signals.K.KEY: of its signal K
+    channels.NAME.signal_faults.K.KEY    of fault K of a wrong signal; signals.K.signal_faults.K: likewise
     fmus.NAME.start.VARIABLE        start value of a user-defined FMU
     event.K.KEY                     entry of event K, counted from 1
     stop_s, step_s, master.KEY      the run itself
@@ -20,7 +21,7 @@ from __future__ import annotations
 
 import math
 import pickle
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -34,6 +35,7 @@ from ..scenario.channels import derived_seed
 from ..scenario.document import scenario_document
 from ..scenario.master_table import MasterTable
 from ..scenario.scenario import Scenario, load_scenario
+from ..scenario.signal_faults import SignalFault
 from ..scenario.signal_paths import ChannelTable, ConcentratorTable, SignalTable
 from .spec import Path_, Sweep
 from .values import Value
@@ -212,7 +214,9 @@ def _check_channel(base: Scenario, rest: Path_, where: str) -> None:
         raise SweepError(f"{where}: allowed: channels.NAME.KEY")
     _among(where, rest[0], list(base.channels), "channel")
     _among(where, rest[1], list(ChannelTable.model_fields), "key of a channel")
-    if len(rest) > 2 and rest[1] not in ("loss", "latency"):
+    if rest[1] == "signal_faults" and len(rest) > 2:
+        _check_fault(base.channels[rest[0]].signal_faults, "channels", rest[:2], rest[2:], where)
+    elif len(rest) > 2 and rest[1] not in ("loss", "latency"):
         raise SweepError(f"{where}: {rest[1]} has no entries of its own")
 
 
@@ -222,14 +226,30 @@ def _check_concentrator(base: Scenario, rest: Path_, where: str) -> None:
     _among(where, rest[0], list(base.concentrators), "concentrator")
     _among(where, rest[1], list(ConcentratorTable.model_fields), "key of a concentrator")
     if rest[1] == "signals":
-        count = len(base.concentrators[rest[0]].signals)
-        if len(rest) != 4 or not rest[2].isdecimal() or not 1 <= int(rest[2]) <= count:
+        signals = base.concentrators[rest[0]].signals
+        if len(rest) < 4 or not rest[2].isdecimal() or not 1 <= int(rest[2]) <= len(signals):
             raise SweepError(
-                f"{where}: allowed: concentrators.{rest[0]}.signals.K.KEY with K from 1 to {count}"
+                f"{where}: allowed: concentrators.{rest[0]}.signals.K.KEY with K from 1 to {len(signals)}"
             )
         _among(where, rest[3], list(SignalTable.model_fields), "key of a concentrator's signal")
+        if rest[3] == "signal_faults" and len(rest) > 4:
+            _check_fault(signals[int(rest[2]) - 1].signal_faults, "concentrators", rest[:4], rest[4:], where)
+        elif len(rest) > 4:
+            raise SweepError(f"{where}: {rest[3]} has no entries of its own")
     elif len(rest) > 2:
         raise SweepError(f"{where}: {rest[1]} has no entries of its own")
+
+
+def _check_fault(faults: Sequence[SignalFault], root: str, owner: Path_, rest: Path_, where: str) -> None:
+    if len(rest) != 2 or not rest[0].isdecimal() or not 1 <= int(rest[0]) <= len(faults):
+        place = ".".join((root, *owner))
+        raise SweepError(
+            f"{where}: allowed: {place}.K.KEY with K from 1 to {len(faults)}"
+            if faults
+            else f"{where}: the scenario has no fault there; write one with its kind, then vary its keys"
+        )
+    fault = faults[int(rest[0]) - 1]
+    _among(where, rest[1], [k for k in type(fault).model_fields if k != "kind"], f"key of {fault.kind}")
 
 
 def _check_event(base: Scenario, rest: Path_, where: str) -> None:

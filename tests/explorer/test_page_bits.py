@@ -69,6 +69,8 @@ def settings(known: dict[str, Any], count: int) -> list[dict[str, Any]]:
                 "hold": rng.randrange(0, 2000, 10),
                 "lost": rng.choice([known["stop"], round(rng.uniform(0, 15), 1)]),
                 "back": rng.choice([known["stop"], round(rng.uniform(10, 19), 1)]),
+                "wrong": rng.choice(["none", *known["wrong"]]),
+                "since": round(rng.uniform(0, 10), 1),
             }
             state |= {f"{channel['name']}.{key}": value for key, value in values.items()}
         state["ev"] = rng.choice(["nudge", "fault", "load", "trip"])

@@ -22,7 +22,10 @@ from interarea.cosim.explorer.subject import subject_of
 from interarea.cosim.export.container import container_block
 from interarea.cosim.scenario.channels import GilbertElliottLoss
 from interarea.cosim.scenario.scenario import Scenario, load_scenario
+from interarea.cosim.scenario.signal_faults import fault_parameters
+from interarea.cosim.scenario.signal_paths import ChannelTable
 from interarea.design.controllers.controller import Controller
+from interarea.models.blocks.channel import SIGNAL_FAULT
 from interarea.models.blocks.variables import Block
 from interarea.models.case.case import load_case
 from interarea.models.devices.header import devices_file, with_devices
@@ -55,6 +58,46 @@ def test_saved_scenario_says_everything_the_page_sets(node: Any) -> None:
     assert (local.on_loss, local.loss, local.latency_s) == ("hold", None, 0.05)
     fault, trip = scenario.event
     assert (fault.bus, fault.end_s, trip.branch, trip.start_s) == (8, 1.12, "8-9 a", 1.12)
+
+
+WRONG = (
+    "stuck",
+    "zero",
+    "times 3",
+    "polarity",
+    "bias of 100 mHz",
+    "spikes of 500 mHz, 5 %",
+    "stamp 0.8 s wrong",
+)
+
+
+def test_a_wrong_signal_is_one_of_the_scenario(node: Any, data: dict[str, Any]) -> None:
+    assert set(WRONG) <= set(data["wrong"])
+    states = [{"k": "ftc", "remote.wrong": kind, "remote.since": 2.5} for kind in data["wrong"]]
+    for text, (words, known) in zip(
+        node([{"toml": s, "title": "x"} for s in states]), data["wrong"].items(), strict=True
+    ):
+        channels = load_scenario(tomllib.loads(text)).channels
+        (fault,) = channels["remote"].signal_faults
+        assert (fault.start_s, fault.end_s) == (2.5, None), words
+        assert fault.model_dump(include=set(known["table"])) == known["table"]
+        assert channels["local"].signal_faults == ()
+        assert (channels["remote"].reporting_interval_s > 0.0) >= fault.packets
+
+
+def test_a_wrong_signal_has_the_numbers_of_its_fmu(data: dict[str, Any]) -> None:
+    for words, known in data["wrong"].items():
+        fault = ChannelTable.model_validate(
+            {
+                "signal": "G2_dw",
+                "reporting_interval_s": 0.02,
+                "signal_faults": [{**known["table"], "start_s": 2.5}],
+            }
+        ).signal_faults[0]
+        values = fault_parameters((fault,))
+        code = {name: number for name, number, _ in SIGNAL_FAULT.items}[values["fault[1].kind"]]
+        own = [known["code"], *list(known["table"].values())[1:], 0.0, 0.0]
+        assert own[:3] == [code, values["fault[1].size"], values["fault[1].detail"]], words
 
 
 def test_link_and_back(node: Any, data: dict[str, Any]) -> None:
@@ -94,6 +137,7 @@ def test_run_writes_the_page_of_its_scenario(tmp_path: Path, monkeypatch: pytest
         ("#v=1&remote.latency=NaN", "remote.latency"),
         ("#v=1&remote.latency=", "remote.latency"),
         ("#v=1&remote.seed=1.5", "remote.seed"),
+        ("#v=1&remote.wrong=often", "remote.wrong"),
         ("#v=1&fault=8%22%3E%3Cscript%3E", "fault"),
         ("#v=1&__proto__=1", "__proto__"),
         ("#\u0000\u0000%", "version"),

@@ -147,7 +147,12 @@ def stopped(name: str, number: str, files: Path, wait_s: float) -> list[str]:
         sent = getattr(signal, number)
         expected = (0, 128 + sent, -sent)  # the last: before the program began, or after it
         text = said.read_text(encoding="utf-8", errors="replace")
-        begun = (number, code) != ("SIGINT", 1) or "__main__.py" in text or "interarea: stopped" in text
+        begun = (
+            "<frozen runpy>" not in text or "__main__.py" in text
+        )  # else Python still looks for the package
+        begun = begun and (
+            (number, code) != ("SIGINT", 1) or "__main__.py" in text or "interarea: stopped" in text
+        )
         if code not in expected and code is not None and begun:  # else it has met Python's own start
             wrong.append(f"exit code {code}: {text[-300:]}")
         if alive:

@@ -44,6 +44,42 @@ def test_keys_of_a_concentrator_do_what_the_same_keys_of_a_scenario_do(
 
 
 @pytest.mark.slow
+def test_keys_of_a_wrong_signal_do_what_the_same_keys_of_a_scenario_do(
+    document: Any, cache: Path, tmp_path: Path
+) -> None:
+    wrong = [{"kind": "scale", "factor": 1.0, "start_s": 0.5}]
+    pdc = copy.deepcopy(PDC)
+    pdc["pdc"]["signals"][0]["signal_faults"] = wrong
+    factor = {"path": "concentrators.pdc.signals.1.signal_faults.1.factor", "values": [1.0, -3.0]}
+    start = {"path": "concentrators.pdc.signals.1.signal_faults.1.start_s", "values": [0.5, 1.0]}
+    table = document(ALIGNED | {"concentrators": pdc}, parameters={"factor": factor, "start": start})
+    rows = rows_of(table, cache, tmp_path)
+    assert len(rows) == 4 and len({row["energy_pu2s"] for row in rows}) == 3  # factor 1: right at any time
+    for row in rows[2:]:
+        scenario = copy.deepcopy(table["scenario"])
+        (fault,) = scenario["concentrators"]["pdc"]["signals"][0]["signal_faults"]
+        fault |= {"factor": row["factor"], "start_s": row["start"]}
+        assert row["energy_pu2s"] == run_scenario(scenario, cache=cache).metrics.energy_pu2s
+
+
+@pytest.mark.parametrize(
+    ("path", "said"),
+    [
+        ("channels.line.signal_faults.2.size", r"channels\.line\.signal_faults\.K\.KEY with K from 1 to 1"),
+        ("channels.line.signal_faults.1.factor", "'factor' is no key of bias"),
+        ("channels.line.signal_faults.1.kind", "'kind' is no key of bias"),
+        ("channels.right.signal_faults.1.size", "no fault there; write one with its kind"),
+    ],
+)
+def test_paths_to_a_fault_that_is_not_there(document: Any, cache: Path, path: str, said: str) -> None:
+    bias = [{"kind": "bias", "size": 0.001, "start_s": 0.5}]
+    channels = {"line": {"signal": "G2_dw", "signal_faults": bias}, "right": {"signal": "G4_dw"}}
+    table = document({"channels": channels}, parameters={"p": {"path": path, "values": [0.001]}})
+    with pytest.raises(SweepError, match=said):
+        plan_sweep(load_sweep(table), cache)
+
+
+@pytest.mark.slow
 def test_start_values_of_an_own_fmu_reach_it(document: Any, cache: Path, tmp_path: Path) -> None:
     """An FMU that ends its process at 0.3 s is told so by the sweep: only the run that asks for it fails."""
     own = {"file": str(misbehaving_fmu(tmp_path)), "isolate": True}

@@ -156,6 +156,8 @@ function buildControls(host, data, change) {
     add(Slider, section, { key: key('latency'), label: 'Latency', min: 0, max: 1000, step: 5, bend: 1.5, text: ms });
     add(Slider, section, { key: key('loss'), label: 'Packets lost', min: 0, max: 90, step: 1, text: percent });
     add(Slider, section, { key: key('lost'), label: 'Signal lost', min: 0, max: data.stop, step: 0.1, text: time });
+    add(List, section, { key: key('wrong'), label: 'Signal wrong', options: channel.kinds.map((kind) => [kind, kind]) });
+    add(Slider, section, { key: key('since'), label: 'Wrong from', min: 0, max: data.stop, step: 0.1, text: time }, (state) => value(data, state, key('wrong')) in data.wrong);
     const more = document.createElement('details');
     more.innerHTML = '<summary></summary>';
     more.querySelector('summary').textContent = 'More of ' + signalWords(channel.signal);

@@ -95,7 +95,7 @@ class Diagram {
   show(state) {
     const { data } = this, made = controllerOf(data, state), tables = eventTables(data, state), channels = channelsOf(data, state);
     const signals = channels.map((c) => channelTable(data, state, c)), gone = signals.map((t) => (t.outages_s || []).length > 0);
-    const late = signals.map((t, k) => (gone[k] ? 'lost' : t.latency_s > 0 ? minus(Math.round(1e4 * t.latency_s) / 10) + ' ms late' : ''));
+    const late = signals.map((t, k) => (gone[k] ? 'lost' : t.signal_faults ? 'wrong' : t.latency_s > 0 ? minus(Math.round(1e4 * t.latency_s) / 10) + ' ms late' : ''));
     const seen = JSON.stringify([made && made.key, tables, channels.map((c, k) => [c.name, gone[k]])]);
     if (seen === this.seen) {
       this.late.forEach((text, k) => { text.textContent = late[k]; });

@@ -299,6 +299,7 @@ class Eigenvalues {
         continue;
       }
       const extra = 0.5 * ((table.reporting_interval_s || 0) + (table.jitter_s || 0));
+      if (table.signal_faults) return { why: 'a signal is wrong: the loop has no one set of eigenvalues' };
       mean = mean || extra > 0;
       signals.push({ input: made.inputs.indexOf(channel.signal), output: point.outputs.indexOf(channel.signal),
         tau: factor * ((table.latency_s || 0) + extra) });

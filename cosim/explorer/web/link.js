@@ -47,6 +47,7 @@ function allowedOf(data, key) {
     case 'op': return { list: data.points.map((_, k) => k) };
     case 'on_loss': return { list: Object.keys(ON_LOSS) };
     case 'cl': return { range: [0, data.ceilings ? data.ceilings.least + 12 : 0] };
+    case 'wrong': return { list: kindsOf(data, key) };
     case 'seed': return { range: [0, 2147483647], whole: true };
     default: {
       const range = data.ranges[part];
@@ -56,7 +57,7 @@ function allowedOf(data, key) {
   }
 }
 
-const CHANNEL_KEYS = ['latency', 'loss', 'burst', 'lost', 'back', 'jitter', 'interval', 'seed', 'on_loss', 'hold'];
+const CHANNEL_KEYS = ['latency', 'loss', 'burst', 'lost', 'wrong', 'since', 'back', 'jitter', 'interval', 'seed', 'on_loss', 'hold'];
 
 /* Every key that this page has. */
 function keysOf(data) {

@@ -5,7 +5,7 @@
 const NEVER = 1e30;
 const ON_LOSS = { zero: 0, hold: 1, hold_then_zero: 2 };
 const CHANNEL_START = {
-  latency: 0, loss: 0, burst: 1, jitter: 0, interval: 0, seed: 0, on_loss: 'hold_then_zero', hold: 500,
+  latency: 0, loss: 0, burst: 1, jitter: 0, interval: 0, seed: 0, on_loss: 'hold_then_zero', hold: 500, since: 1.5,
 };
 
 /* The value of a key: of the state, else of the start, else the default of its kind. */
@@ -14,6 +14,7 @@ function value(data, state, key) {
   if (key in data.start) return data.start[key];
   const part = key.split('.')[1];
   if (part === 'lost' || part === 'back') return data.stop;
+  if (part === 'wrong') return kindsOf(data, key)[0];
   if (part !== undefined) return CHANNEL_START[part];
   if (key === 'l') {
     const made = controllerOf(data, state);
@@ -28,6 +29,9 @@ function value(data, state, key) {
     load: first('load'),
   }[key];
 }
+
+/* What can be wrong with the signal of a channel; the first is the start. */
+const kindsOf = (data, key) => data.channels.find((c) => key === c.name + '.wrong').kinds;
 
 function controllerOf(data, state) {
   const key = value(data, state, 'k');
@@ -63,7 +67,10 @@ function channelTable(data, state, channel) {
         loss_good: 0, loss_bad: 1 };
     }
   }
-  const packets = table.loss || table.jitter_s || table.latency || table.pdc_wait_s;
+  const wrong = data.wrong[get('wrong')];
+  if (wrong) table.signal_faults = [{ ...wrong.table, start_s: get('since') }];
+  else if (get('wrong') === 'none') delete table.signal_faults;
+  const packets = table.loss || table.jitter_s || table.latency || table.pdc_wait_s || (wrong && wrong.packets);
   if (table.loss || table.jitter_s || table.latency || table.signal_faults) table.seed = get('seed');
   else delete table.seed;
   set('reporting_interval_s', (get('interval') || (packets ? 20 : 0)) / 1000, 0);
@@ -95,6 +102,15 @@ function channelParameters(name, table, out) {
     put('outage[' + (k + 1) + '].start', start);
     put('outage[' + (k + 1) + '].end', end);
   }
+}
+
+/* Those of the fault that the page sets. */
+function faultParameters(data, state, name, out) {
+  const which = value(data, state, name + '.wrong'), wrong = data.wrong[which];
+  if (which === 'given') return;
+  const [size, detail] = wrong ? Object.values(wrong.table).slice(1) : [];
+  const fault = { kind: wrong ? wrong.code : 0, size: size || 0, detail: detail || 0, start: wrong ? value(data, state, name + '.since') : NEVER, end: NEVER };
+  for (const key in fault) out[`${name}.fault[1].${key}`] = fault[key];
 }
 
 /* What happens, as the tables of a scenario. */
@@ -142,8 +158,10 @@ function eventParameters(data, state, out) {
 function settingsOf(data, state) {
   const made = controllerOf(data, state), gain = value(data, state, 'g'), ceiling = value(data, state, 'cl');
   const parameters = eventParameters(data, state, {});
-  for (const channel of channelsOf(data, state))
+  for (const channel of channelsOf(data, state)) {
     channelParameters(channel.name, channelTable(data, state, channel), parameters);
+    faultParameters(data, state, channel.name, parameters);
+  }
   if (made) {
     parameters['controller.limit'] = value(data, state, 'l');
     if (gain !== 1 && made.C) {

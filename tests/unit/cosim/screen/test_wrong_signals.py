@@ -16,14 +16,8 @@ from interarea.cosim.designs.design_file import load_design
 from interarea.cosim.errors import ScenarioError
 from interarea.cosim.results.verdict import GROWING, LOST, STANDING
 from interarea.cosim.scenario.scenario import load_scenario
-from interarea.cosim.screen.wrong_runs import (
-    SWAP,
-    WrongRun,
-    disturbances_of,
-    fault_place,
-    signals_of,
-    wrong_kinds,
-)
+from interarea.cosim.scenario.signal_faults import SWAP, wrong_kinds
+from interarea.cosim.screen.wrong_runs import WrongRun, disturbances_of, fault_place, signals_of
 from interarea.cosim.screen.wrong_signals import (
     RIGHT,
     WrongCertificate,
