@@ -1,9 +1,9 @@
 """The two-area systems with a dc link of the Power System Toolbox, written apart from the package.
 
 Rates of all states and their eigenvalues; with the Toolbox's own terms of speed (EMFs multiplied by speed,
-torques as powers over speed), which PSTess has and the package has not, or without. Numbers: file dtestdc of
-PSTess 1.1. The converters are quasi-static at the voltages behind the commutation reactance, solved with the
-network by repetition.
+torques as powers over speed), which PSTess has and the package has not, or without. Numbers: files dtestdc
+and dtestdcr of PSTess 1.1. The converters are quasi-static at the voltages behind the commutation reactance,
+solved with the network by repetition.
 """
 
 from __future__ import annotations
@@ -68,6 +68,31 @@ DTESTDC = Numbers(
     order=0.2,
     ohm=100.0,
     gains=(0.1, 0.1, 0.1, 0.1),
+)  # fmt: skip
+
+DTESTDCR = Numbers(
+    lines=(
+        (1, 10, 0.0, 0.0167, 0.0, 1.0), (2, 20, 0.0, 0.0167, 0.0, 1.0), (3, 4, 0.0, 0.005, 0.0, 1.0),
+        (16, 5, 0.0, 0.001, 0.0, 1.0), (3, 20, 0.001, 0.01, 0.0175, 1.0), (3, 101, 0.011, 0.11, 0.1925, 1.0),
+        (3, 101, 0.011, 0.11, 0.1925, 1.0), (10, 20, 0.0025, 0.025, 0.0437, 1.0),
+        (11, 110, 0.0, 0.0167, 0.0, 1.0), (12, 120, 0.0, 0.0167, 0.0, 1.0), (13, 14, 0.0, 0.005, 0.0, 1.0),
+        (13, 15, 0.0, 0.001, 0.0, 1.115), (13, 101, 0.011, 0.11, 0.1925, 1.0),
+        (13, 101, 0.011, 0.11, 0.1925, 1.0), (13, 120, 0.001, 0.01, 0.0175, 1.0),
+        (110, 120, 0.0025, 0.025, 0.0437, 1.0),
+    ),
+    held={1: 1.03, 2: 1.01, 3: 1.0, 11: 1.03, 12: 1.01, 13: 1.0, 16: 1.0},
+    power={2: 5.0, 3: -1.0, 4: -9.76, 11: 5.0, 12: 5.0, 14: -17.67},
+    reactive={4: -1.0, 14: -1.0, 101: 2.0},
+    shunts={3: 6.0, 15: 6.0},
+    machines=(1, 2, 11, 12, 16),
+    ratio=(9.0,) * 4 + (19.0,),
+    xq1=(0.55, 0.25, 0.55, 0.55, 0.55),
+    tq02=(0.05, 999.0, 0.05, 0.05, 0.05),
+    slacks={1: 18.5, 16: -10.0},
+    current={},
+    order=1.6,
+    ohm=10.0,
+    gains=(1.0, 1.0, 0.1, 0.1),
 )  # fmt: skip
 
 
