@@ -62,11 +62,11 @@ class BuildPy(build_py):
 
     def run(self) -> None:
         super().run()
-        wanted = os.environ.get(_WANTED, "none")
-        if self.editable_mode or wanted == "none":
+        choice = os.environ.get(_WANTED, "none")
+        if self.editable_mode or choice == "none":
             return
         copy = Path(self.build_lib).absolute()
         command = [sys.executable, "-m", "interarea.binaries", str(copy / "interarea/fmu_build/binaries")]
-        command += [] if wanted == "all" else ["--platforms", wanted]
+        command += [] if choice == "all" else ["--platforms", choice]
         with_copy = os.pathsep.join([str(copy), *filter(None, [os.environ.get("PYTHONPATH")])])
         subprocess.run(command, check=True, cwd=copy, env={**os.environ, "PYTHONPATH": with_copy})

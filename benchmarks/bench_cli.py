@@ -84,10 +84,10 @@ def main() -> int:
         if what not in OURS:
             print(f"{what:<40} {median:9.3f}")
             continue
-        base, wanted = OURS[what]
+        base, limit = OURS[what]
         ratio = median / medians[base]
-        missed |= not ratio <= wanted
-        print(f"{what:<40} {median:9.3f} {ratio:6.2f} {wanted:6.1f}  {base}")
+        missed |= not ratio <= limit
+        print(f"{what:<40} {median:9.3f} {ratio:6.2f} {limit:6.1f}  {base}")
     return int(missed)
 
 

@@ -60,9 +60,9 @@ class Pair:
         self._c.devices_open.restype = ctypes.c_void_p
         self._c.devices_ns.restype = ctypes.c_double
         device, self.machines = DEVICES[which], machines
-        given, states = (np.array(v, dtype=float) for v in (device.parameters, device.states))
-        sizes = [ctypes.c_size_t(n) for n in (which, machines, len(given), len(states))]
-        pointers = [a.ctypes.data_as(ctypes.c_void_p) for a in (given, states)]
+        parameters, states = (np.array(v, dtype=float) for v in (device.parameters, device.states))
+        sizes = [ctypes.c_size_t(n) for n in (which, machines, len(parameters), len(states))]
+        pointers = [a.ctypes.data_as(ctypes.c_void_p) for a in (parameters, states)]
         self._pair = ctypes.c_void_p(self._c.devices_open(*sizes, ctypes.c_uint64(device.has), *pointers))
         self._rates = np.empty(machines * (1 + len(states)))
 
@@ -98,10 +98,10 @@ def main() -> int:
     """Print one line for each device and number of machines."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--machines", type=int, nargs="+", default=[4, 16, 100])
-    given = parser.parse_args()
+    options = parser.parse_args()
     reached = True
     for which, device in enumerate(DEVICES):
-        for machines in given.machines:
+        for machines in options.machines:
             hand, alone, together = measure(which, machines)
             reached &= bool(together <= WANTED)
             print(

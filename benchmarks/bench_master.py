@@ -68,7 +68,7 @@ def quiet() -> Iterator[None]:
     """Send what other tools write to standard output and error to nowhere."""
     sys.stdout.flush()
     sys.stderr.flush()
-    kept = os.dup(1), os.dup(2)
+    descriptors = os.dup(1), os.dup(2)
     nowhere = os.open(os.devnull, os.O_WRONLY)
     try:
         os.dup2(nowhere, 1)
@@ -77,7 +77,7 @@ def quiet() -> Iterator[None]:
     finally:
         sys.stdout.flush()
         sys.stderr.flush()
-        for k, fd in zip((1, 2), kept, strict=True):
+        for k, fd in zip((1, 2), descriptors, strict=True):
             os.dup2(fd, k)
             os.close(fd)
         os.close(nowhere)

@@ -74,18 +74,18 @@ def main() -> int:
     parser.add_argument("--runs", type=int, default=2000)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--rounds", type=int, default=3)
-    given = parser.parse_args()
+    options = parser.parse_args()
     cells = [(kind, kill) for kind in KINDS for kill in (False, True)]
     times: dict[tuple[str, bool], list[float]] = {cell: [] for cell in cells}
     same = True
     with tempfile.TemporaryDirectory() as scratch:
         run_sweep(document(4), Path(scratch) / "warm", workers=1)
-        for turn in range(given.rounds):
+        for turn in range(options.rounds):
             for kill in (False, True):
                 rows = []
                 for kind in KINDS if turn % 2 else KINDS[::-1]:
                     out = Path(scratch) / f"{kind}-{kill}-{turn}"
-                    times[kind, kill].append(seconds(kind, given.runs, given.workers, out, kill))
+                    times[kind, kill].append(seconds(kind, options.runs, options.workers, out, kill))
                     took = times[kind, kill][-1]
                     print(f"{kind}{', a worker killed' if kill else ''}: {took:.2f} s", file=sys.stderr)
                     rows.append(read_rows(out).drop(columns="reason"))
@@ -94,7 +94,7 @@ def main() -> int:
         ours, theirs = (statistics.median(times[kind, kill]) for kind in KINDS)
         what = "one worker killed" if kill else "undisturbed"
         seen = f"pool {ours:.2f} s, LocalCluster {theirs:.2f} s, ratio {theirs / ours:.2f}"
-        print(f"{given.runs} runs, {what}: {seen}")
+        print(f"{options.runs} runs, {what}: {seen}")
     print("rows are the same" if same else "ROWS DIFFER")
     return int(not same)
 

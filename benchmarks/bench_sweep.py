@@ -274,8 +274,8 @@ def _sweeps(runs: int) -> bool:
         )
     overhead = max(cost.overhead for cost in costs.values())
     good = overhead < WANTED_OVERHEAD
-    wanted = f"wanted < {100 * WANTED_OVERHEAD:.0f} %"
-    print(f"engine over the runs {100 * overhead:.1f} %, {wanted}: {_verdict(good)}")
+    limit = f"wanted < {100 * WANTED_OVERHEAD:.0f} %"
+    print(f"engine over the runs {100 * overhead:.1f} %, {limit}: {_verdict(good)}")
     one, two = (c.clock_s - c.start_s / w for w, c in costs.items())  # the start is the same for any number
     print(f"two workers / one = {one / two:.2f}, wanted >= {WANTED_SCALING} (on two idle cores)", flush=True)
     return good

@@ -70,13 +70,13 @@ def measured_work(
 @contextmanager
 def children_counted() -> Iterator[None]:
     """Begin workers as children of this process while it holds, with `measured_work`."""
-    kept = sweep_local._context, sweep_local.work
+    originals = sweep_local._context, sweep_local.work
     spawned = multiprocessing.get_context("spawn")
     sweep_local._context, sweep_local.work = (lambda: spawned), measured_work
     try:
         yield
     finally:
-        sweep_local._context, sweep_local.work = kept
+        sweep_local._context, sweep_local.work = originals
 
 
 def cost_of(document: dict[str, Any], workers: int, progress: Callable[[Progress], object] | None) -> Cost:

@@ -161,14 +161,14 @@ def errors(
     exact = y[:, 0] - y[:, 1]
     peak = np.max(np.abs(exact))
     measured: dict[str, list[float]] = {}
-    for held in inputs:
-        measured[held] = []
+    for interpolated in inputs:
+        measured[interpolated] = []
         for step_s in steps_s:
-            times, dw24 = run_fmus(controller, synchronous, held, step_s)
+            times, dw24 = run_fmus(controller, synchronous, interpolated, step_s)
             grid = np.round(times / _PANEL_S).astype(int)
             if not np.max(np.abs(grid * _PANEL_S - times)) < 1e-12:
                 raise ValueError(f"H = {step_s:g} s is no multiple of {_PANEL_S:g} s")
-            measured[held].append(float(np.max(np.abs(dw24 - exact[grid])) / peak))
+            measured[interpolated].append(float(np.max(np.abs(dw24 - exact[grid])) / peak))
     return measured
 
 

@@ -81,11 +81,11 @@ def locus_of(
         _check_controller_key(key, controller)
     else:
         parameter_value(case, key)
-    here = sparse_linear_plant(case, default_cache()) if of_controller else None
+    base_plant = sparse_linear_plant(case, default_cache()) if of_controller else None
 
     def spectrum(value: float) -> Mapping[str, complex]:
         varied = case if of_controller else with_parameter(case, key, value)
-        plant = here or sparse_linear_plant(varied, default_cache())
+        plant = base_plant or sparse_linear_plant(varied, default_cache())
         loop = None
         if controller is not None and not (key == "controller.gain" and value == 0.0):
             system = controller.system * (value if key == "controller.gain" else 1.0)

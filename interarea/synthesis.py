@@ -181,15 +181,15 @@ def judged_and_design(
     ------
     UserError : no such controller, case or design; conditions beside a design, or of another kind.
     """
-    given = None if spec is None else _table(spec, case)
-    if given is not None and conditions:
-        raise ScenarioError(f"conditions beside the design {given.name}, allowed: one of them")
-    grid = given.grid if given is not None else case_like("two-area-thesis" if case is None else case)
+    table = None if spec is None else _table(spec, case)
+    if table is not None and conditions:
+        raise ScenarioError(f"conditions beside the design {table.name}, allowed: one of them")
+    grid = table.grid if table is not None else case_like("two-area-thesis" if case is None else case)
     judged = controller_like(controller, grid)
-    own = specification_of(judged) if given is None and not conditions else None
+    own = specification_of(judged) if table is None and not conditions else None
     if own is not None:
         return judged, own if case is None else own.on(grid)
-    return judged, given or plain_design(judged, grid, conditions)
+    return judged, table or plain_design(judged, grid, conditions)
 
 
 def plain_design(judged: Controller | ControllerBank, grid: Case, conditions: Sequence[str]) -> DesignTable:

@@ -178,8 +178,8 @@ def libcosim(fmu: Path, n: int, folder: Path) -> Route:
     execution.add_observer(observer)
     for place in places:
         observer.start_time_series(place, 2, CosimVariableType.REAL)
-    kept = (slaves, observer)
-    return Route(lambda count: execution.step(step_count=count), steps, close=lambda: kept)
+    references = (slaves, observer)
+    return Route(lambda count: execution.step(step_count=count), steps, close=lambda: references)
 
 
 def cofmupy(fmu: Path, n: int, folder: Path) -> Route:

@@ -47,10 +47,10 @@ def reached_from(table: DesignTable, seed: int) -> Reached | None:
         made = design_robust(plants, alone.spec(), alone.grid.omega_b)
     except InfeasibleDesign:
         return None
-    held = judge(alone, made.system, cache)
+    judged = judge(alone, made.system, cache)
     lossless = {condition.name for condition in alone.family() if not condition.lost}
-    inter_area = min(row.inter_area for row in held.rows if row.condition in lossless)
-    return Reached(seed, inter_area, held.worst_swing, held.effort, time.monotonic() - began)
+    inter_area = min(row.inter_area for row in judged.rows if row.condition in lossless)
+    return Reached(seed, inter_area, judged.worst_swing, judged.effort, time.monotonic() - began)
 
 
 def best_of(side: str, table: DesignTable, starts: int) -> Reached | None:
@@ -70,12 +70,12 @@ def main() -> None:
     parser.add_argument("name", nargs="?", default="wide_area")
     parser.add_argument("--starts", type=int, default=40)
     parser.add_argument("--side", choices=("both", "link", "rival"), default="both")
-    given = parser.parse_args()
-    table = load_design(given.name)
+    options = parser.parse_args()
+    table = load_design(options.name)
     sides = {"link": table, "rival": rival_table(table)}
-    wanted = list(sides) if given.side == "both" else [given.side]
+    chosen_sides = list(sides) if options.side == "both" else [options.side]
     with threadpool_limits(1):
-        best = {side: best_of(side, sides[side], given.starts) for side in wanted}
+        best = {side: best_of(side, sides[side], options.starts) for side in chosen_sides}
     for side, row in best.items():
         print(f"best, {side}: " + ("none" if row is None else row.row()))
 

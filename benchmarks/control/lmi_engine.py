@@ -157,14 +157,14 @@ def ftc_half_steps() -> dict[str, object]:
     print("  #     m  structured (s)     objective   Clarabel (s)     objective  status             usable")
     for k, (problem, solution, seconds) in enumerate(recorded, start=1):
         start = time.process_time()
-        said = solve_clarabel(problem)
+        answer = solve_clarabel(problem)
         taken = time.process_time() - start
-        good = bool(said.values) and usable(problem, said)
+        good = bool(answer.values) and usable(problem, answer)
         own, other, usable_ones = own + seconds, other + taken, usable_ones + good
         m = sum(v.size for v in problem.variables) + len(problem.scalars)
         print(
             f"{k:3d} {m:5d}  {seconds:14.3f}  {solution.objective:12.8f}  {taken:13.2f}  "
-            f"{said.objective:12.8f}  {said.status:17s}  {'yes' if good else 'no'}",
+            f"{answer.objective:12.8f}  {answer.status:17s}  {'yes' if good else 'no'}",
             flush=True,
         )
     return {
@@ -205,10 +205,10 @@ def main() -> None:
                 line += "  {ratio:.0f}  objective {clarabel_objective:.8f}".format(**row)
             print(line, flush=True)
     seconds = {row["n"]: float(str(row["seconds"])) for row in rows}
-    for order, wanted in WANTED.items():
+    for order, limit in WANTED.items():
         ratio = next((r.get("ratio") for r in rows if r["n"] == order), None)
         if ratio is not None:
-            print(f"n = {order}: {ratio:.0f} times faster than Clarabel, wanted {wanted:.0f}")
+            print(f"n = {order}: {ratio:.0f} times faster than Clarabel, wanted {limit:.0f}")
     for order, allowed in ALLOWED.items():
         if order in seconds and 11 in seconds:
             print(f"n = {order}: {seconds[order] / seconds[11]:.1f} times its n = 11, allowed {allowed:.0f}")

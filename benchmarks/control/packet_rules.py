@@ -173,8 +173,8 @@ def faults(controllers: list[str]) -> None:
                 fault = dict.fromkeys(point.alone.values(), table.acceptance.clear_cycles)
                 without = point.kept(runs, "zero", fault, controlled=False)
                 for rule in RULES:
-                    kept = point.kept(runs, rule, dict.fromkeys(point.alone, table.acceptance.clear_cycles))
-                    for s, keeps in kept.items():
+                    stable = point.kept(runs, rule, dict.fromkeys(point.alone, table.acceptance.clear_cycles))
+                    for s, keeps in stable.items():
                         alone = without[point.alone[s]]
                         counts[rule] += (1, alone and not keeps, keeps and not alone)
                     cycles[rule] += point.clearing_cycles(runs, rule)

@@ -25,18 +25,20 @@ POINTS = ("base", "tie +100")
 
 def main() -> None:
     """Write certificate_NAME.json for each and print its first failures."""
-    given, cache = load_design("robust_latency"), default_cache()
-    points = tuple(point for point in given.point if point.name in POINTS)
-    table = given.model_copy(update={"fault": None, "point": points})
+    design, cache = load_design("robust_latency"), default_cache()
+    points = tuple(point for point in design.point if point.name in POINTS)
+    table = design.model_copy(update={"fault": None, "point": points})
     assert table.acceptance is not None
     for name in CONTROLLER_NAMES:
         controller = design_controller(table.grid, name, cache)
         certificate = certify(table, controller, cache)
-        tried = judge_acceptance(controller, family_cases(table), table.acceptance, cache, clearing=False)
-        kept = replace(certificate, acceptance=tried.as_dict()).as_dict()
+        acceptance = judge_acceptance(
+            controller, family_cases(table), table.acceptance, cache, clearing=False
+        )
+        document = replace(certificate, acceptance=acceptance.as_dict()).as_dict()
         path = Path(str(designs.__file__)).parent / f"certificate_{name}.json"
-        path.write_text(json_text(json.loads(json.dumps(kept))), encoding="utf-8")
-        print(f"{name}: {first_failures(kept)}", flush=True)
+        path.write_text(json_text(json.loads(json.dumps(document))), encoding="utf-8")
+        print(f"{name}: {first_failures(document)}", flush=True)
 
 
 if __name__ == "__main__":

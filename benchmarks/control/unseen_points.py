@@ -134,13 +134,13 @@ def unseen(name: str, parameters: bool) -> dict[str, Case]:
 def answered(controller: Controller) -> control.StateSpace:
     """Return the linear part of `controller` without an input that only its guard looks at."""
     system, guard = controller.system, controller.guard
-    kept = [k for k, name in enumerate(system.input_labels) if guard is None or name != guard.follows]
+    inputs = [k for k, name in enumerate(system.input_labels) if guard is None or name != guard.follows]
     return control.ss(
         system.A,
-        system.B[:, kept],
+        system.B[:, inputs],
         system.C,
-        system.D[:, kept],
-        inputs=[system.input_labels[k] for k in kept],
+        system.D[:, inputs],
+        inputs=[system.input_labels[k] for k in inputs],
         outputs=system.output_labels,
     )
 
@@ -180,8 +180,8 @@ def faults(name: str, cache: Path, parameters: bool) -> None:
         there = {branch.name for branch in case.branches}
         places = [*table.acceptance.fault, *PLACES.get(table.grid.name, ())]
         places = [place for place in places if place.trip is None or place.trip in there]
-        wanted = table.acceptance.model_copy(update={"fault": tuple(places)})
-        verdict = judge_acceptance(controller, {point: case}, wanted, cache, clearing=False)
+        acceptance = table.acceptance.model_copy(update={"fault": tuple(places)})
+        verdict = judge_acceptance(controller, {point: case}, acceptance, cache, clearing=False)
         count, lost, gained = count + verdict.cases, lost + len(verdict.lost), gained + len(verdict.gained)
         print(
             f"{name:14} {point:20} {verdict.cases} faults, {len(verdict.lost)} lost, "

@@ -59,12 +59,12 @@ def pairs(folders: Sequence[Path]) -> list[tuple[Path, Path]]:
     """Return (RAW, DYR) of each pair, each of its contents once."""
     rows: dict[str, tuple[Path, Path]] = {}
     for dyr in (path for folder in folders for path in grids(folder, ".dyr")):
-        wanted = units_of_dyr(dyr)
+        units = units_of_dyr(dyr)
         places = (dyr.parent, dyr.parent.parent / "raw", dyr.parent.parent / "psse_raw", dyr.parent.parent)
         for place in places:
             raws = [path for path in grids(place, ".raw") if path.parent == place] if place.is_dir() else []
-            if wanted and raws:
-                shared, _, raw = max((_shared(wanted, units_of_raw(r)), _likeness(r, dyr), r) for r in raws)
+            if units and raws:
+                shared, _, raw = max((_shared(units, units_of_raw(r)), _likeness(r, dyr), r) for r in raws)
                 if shared > 0.5:
                     digest = hashlib.sha256(_content(raw) + _content(dyr)).hexdigest()
                     rows.setdefault(digest, (raw, dyr))

@@ -34,16 +34,18 @@ def made(path: Path, folder: Path) -> str:
     """Make the plant of a grid; return the line that says what it took."""
     case = ruled_grid(path)
     plant_fmu(case, folder)
-    wanted = build_bytes(case, powers=shows_powers(case)) / MIB
-    return f"{path.stem}: {len(case.buses)} buses, made {peak_mib():.0f} MiB, estimated {wanted:.0f} MiB"
+    needed_mib = build_bytes(case, powers=shows_powers(case)) / MIB
+    return f"{path.stem}: {len(case.buses)} buses, made {peak_mib():.0f} MiB, estimated {needed_mib:.0f} MiB"
 
 
 def opened(path: Path, folder: Path) -> str:
     """Open the plant made before; return the line that says what it took."""
     case = ruled_grid(path)
     with open_plant(plant_fmu(case, folder)):
-        wanted = run_bytes(case, powers=shows_powers(case)) / MIB
-        return f"{path.stem}: {len(case.buses)} buses, open {peak_mib():.0f} MiB, estimated {wanted:.0f} MiB"
+        needed_mib = run_bytes(case, powers=shows_powers(case)) / MIB
+        return (
+            f"{path.stem}: {len(case.buses)} buses, open {peak_mib():.0f} MiB, estimated {needed_mib:.0f} MiB"
+        )
 
 
 def main() -> None:

@@ -62,9 +62,9 @@ def main() -> int:
     print(f"{'median of ' + str(runs):<24} {'wall s':>7} {'processor s':>11} {'wanted':>6}")
     for what, rows in times.items():
         wall, processor = (statistics.median(column) for column in zip(*rows, strict=True))
-        wanted = ROWS[what][2]
-        missed |= wanted is not None and not processor <= wanted
-        print(f"{what:<24} {wall:7.2f} {processor:11.2f} {wanted or '':>6}")
+        limit = ROWS[what][2]
+        missed |= limit is not None and not processor <= limit
+        print(f"{what:<24} {wall:7.2f} {processor:11.2f} {limit or '':>6}")
     return int(missed)
 
 

@@ -96,18 +96,31 @@ def _shares(load: Load, letter: str) -> tuple[float, float, float]:
     exponent = getattr(load, f"{letter}_exponent")
     if exponent not in (0.0, 1.0, 2.0):
         raise ValueError(f"loads.{load.name}: exponent {exponent:g}, ANDES's PQ knows 0, 1, 2")
-    return tuple(1.0 if exponent == wanted else 0.0 for wanted in (2.0, 1.0, 0.0))
+    return tuple(1.0 if exponent == pure else 0.0 for pure in (2.0, 1.0, 0.0))
 
 
 def _machine(case: Case, m: Machine, power: complex, efd: float) -> list[Row]:
     if m.model != "round_rotor" or m.Xd2 != m.Xq2 or (m.saturation and m.saturation.use != "none"):
         raise ValueError(f"machines.{m.name}: only round_rotor with Xd2 = Xq2 and no saturation is GENROU")
-    here = {"bus": m.bus, "Vn": KV, "Sn": m.base_mva}
-    static = here | {"idx": m.name, "p0": power.real, "q0": power.imag, "v0": m.V_pu, "ra": m.Ra, "xs": m.Xd2}
+    bases = {"bus": m.bus, "Vn": KV, "Sn": m.base_mva}
+    static = bases | {
+        "idx": m.name,
+        "p0": power.real,
+        "q0": power.imag,
+        "v0": m.V_pu,
+        "ra": m.Ra,
+        "xs": m.Xd2,
+    }
     wide = {"pmax": FAR, "pmin": -FAR, "qmax": FAR, "qmin": -FAR}
     angle = {"a0": math.radians(m.angle_deg)} if m.slack else {}
     rows: list[Row] = [("Slack" if m.slack else "PV", static | wide | angle)]
-    machine = here | {"idx": f"{m.name} machine", "gen": m.name, "M": 2 * m.number("H"), "D": m.D, "ra": m.Ra}
+    machine = bases | {
+        "idx": f"{m.name} machine",
+        "gen": m.name,
+        "M": 2 * m.number("H"),
+        "D": m.D,
+        "ra": m.Ra,
+    }
     machine |= {"fn": case.frequency_hz, "S10": 0.0, "S12": 1.0, "xl": m.Xl, "xd": m.Xd, "xq": m.Xq}
     machine |= {"xd1": m.Xd1, "xq1": m.Xq1, "xd2": m.Xd2, "xq2": m.Xq2}
     machine |= {"Td10": m.Td01, "Td20": m.Td02, "Tq10": m.Tq01 or 1.0, "Tq20": m.Tq02}

@@ -196,15 +196,15 @@ def reduced_records(text: str, models: Sequence[str]) -> str:
     records = [record.replace(",", " ").split() for record in re.findall(r"[^/]*/", text)]
     named = [(words[1].strip("'"), words) for words in records if len(words) > 2]
     excited = {tuple(words[::2][:2]) for name, words in named if name in EXCITERS and name in models}
-    kept = []
+    reduced = []
     for name, words in named:
         if name in models and (name not in STABILIZERS or tuple(words[::2][:2]) in excited):
             place = SATURATES.get(name, slice(0, 0))
             words[place] = ["0"] * len(words[place])
             if name in LIMITS_AT:
                 words[LIMITS_AT[name]] = ["99", "-99"]
-            kept.append(" ".join(words))
-    return "\n".join(kept) + "\n"
+            reduced.append(" ".join(words))
+    return "\n".join(reduced) + "\n"
 
 
 def voltage_difference(case: Case, result: Mapping[str, Any]) -> float:

@@ -90,8 +90,8 @@ def solved(imported: Imported, path: Path) -> tuple[dict[int, complex], Flows, i
 
 def problem_of(imported: Imported, path: Path) -> dict[str, Any]:
     """Return what a tool is asked: the file, what its units hold, and its switched shunts as stored, Mvar."""
-    held = {m.bus for m in imported.case.machines}
-    volts = {str(bus): abs(v) for bus, v in imported.solution.voltages.items() if bus in held}
+    machine_buses = {m.bus for m in imported.case.machines}
+    volts = {str(bus): abs(v) for bus, v in imported.solution.voltages.items() if bus in machine_buses}
     shunts: dict[str, float] = defaultdict(float)
     for shunt in static_grid(read_raw(path), Report()).shunts:
         if shunt.letter == "S" and shunt.on:

@@ -86,10 +86,12 @@ def pypowsybl(file: str, volts: dict[str, float], shunts: dict[str, float]) -> d
     network = pypowsybl.network.load(file)
     network.per_unit = True
     units = network.get_generators(all_attributes=True)
-    held = {unit: volts[bus[1:]] for unit, bus in units.bus_breaker_bus_id.items() if bus[1:] in volts}
-    if held:
-        network.update_generators(id=list(held), regulated_element_id=list(held))  # not a bus elsewhere
-        network.update_generators(id=list(held), target_v=list(held.values()))
+    unit_volts = {unit: volts[bus[1:]] for unit, bus in units.bus_breaker_bus_id.items() if bus[1:] in volts}
+    if unit_volts:
+        network.update_generators(
+            id=list(unit_volts), regulated_element_id=list(unit_volts)
+        )  # not a bus elsewhere
+        network.update_generators(id=list(unit_volts), target_v=list(unit_volts.values()))
     network.per_unit = False
     _hold_shunts(network, shunts)
     for start in (flow.VoltageInitMode.PREVIOUS_VALUES, flow.VoltageInitMode.DC_VALUES):

@@ -77,7 +77,7 @@ def main() -> None:
             tables["generators"]["GEN"] = [[*rows[0], "X_l"]] + [
                 [*row, problem["leakage"] * row[at]] for row in rows[1:]
             ]
-        given = copy.deepcopy(tables)
+        copied = copy.deepcopy(tables)
         library = sixth_order() if problem["machine"] == "sixth order" else None
         system = tops.PowerSystemModel(model=tables, user_mdl_lib=library)
         system.pf_tol, system.pf_max_it = 1e-11, 30
@@ -89,7 +89,7 @@ def main() -> None:
         poles = np.linalg.eigvals(jacobian(system))
     sys.stderr.write(words.getvalue())
     result = {
-        "tables": given,
+        "tables": copied,
         "v": [[float(z.real), float(z.imag)] for z in np.asarray(system.v_0).ravel()],
         "rest": rest,
         "eigenvalues": [[float(z.real), float(z.imag)] for z in poles],

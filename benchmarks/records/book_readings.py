@@ -120,25 +120,25 @@ def main() -> int:
     options = parser.parse_args()
     differs, last = 0, ""
     for name, what, change, recorded, _ in readings():
-        wanted = printed(name)
+        printed_modes = printed(name)
         if name != last:
-            print(f"\n{name}\n  {'printed':86}", *(f"{z.real:8.3f}{z.imag:+6.2f}j  " for z in wanted))
+            print(f"\n{name}\n  {'printed':86}", *(f"{z.real:8.3f}{z.imag:+6.2f}j  " for z in printed_modes))
             last = name
         case = load_case(name)
         ours = modes_here(case.with_changes(change) if change else case)
         same = len(recorded) == 3 and max(abs(np.subtract(ours, recorded))) <= RECORDED
         differs |= not same
         print(
-            f"  {what:80} {half_units(ours, wanted):5.1f}",
+            f"  {what:80} {half_units(ours, printed_modes):5.1f}",
             *(f"{z.real:8.4f}{z.imag:+8.4f}j" for z in ours),
             "" if same else "NOT AS RECORDED",
         )
     print("\nThe stabilizer that the printed modes need, beside the printed constants' (gain, degrees)")
     system = linear_plant(load_case("kundur-thyristor"), default_cache())
     for pole in printed("kundur-pss"):
-        given = stabilizer_of_the_book(pole)
-        needed = stabilizer_needed(system, pole, given)
-        numbers = (f"{abs(z):7.3f} {np.degrees(np.angle(z)):6.2f}" for z in (needed, given))
+        stabilizer = stabilizer_of_the_book(pole)
+        needed = stabilizer_needed(system, pole, stabilizer)
+        numbers = (f"{abs(z):7.3f} {np.degrees(np.angle(z)):6.2f}" for z in (needed, stabilizer))
         print(f"  {pole:+.3f}   ", "     ".join(numbers))
     if options.andes_python:
         modes_in_andes(options.andes_python)

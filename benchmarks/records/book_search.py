@@ -49,9 +49,9 @@ class Row:
             Gw, Gv = (np.asarray(system.C[rows] @ inner + system.D[rows]) for rows in outputs.values())
             undo = np.linalg.inv(PRINTED["KA"] * (np.eye(len(Gv)) - Gv / (1 + PRINTED["TR"] * s)))
             self.responses.append((Gw @ undo, Gv @ undo))
-            given = [self.stabilizer(s + step, PRINTED) for step in (-STEP, STEP)]
-            needed = [stabilizer_needed(system, s + step, given[0]) for step in (-STEP, STEP)]
-            slope.append(np.log(given[1] / needed[1] / (given[0] / needed[0])) / (2 * STEP))
+            shifted = [self.stabilizer(s + step, PRINTED) for step in (-STEP, STEP)]
+            needed = [stabilizer_needed(system, s + step, shifted[0]) for step in (-STEP, STEP)]
+            slope.append(np.log(shifted[1] / needed[1] / (shifted[0] / needed[0])) / (2 * STEP))
         self.slope = np.array(
             slope
         )  #: of log(given/needed) along s: turns a misfit of H into one of the pole
@@ -68,9 +68,9 @@ class Row:
         for s, (Pw, Pv) in zip(self.poles, self.responses, strict=True):
             E = c["KA"] * (1 + s * c["TC"]) / (1 + s * c["TB"]) / (1 + s * c["TA"])
             G = Pw @ np.linalg.inv(np.eye(len(Pv)) + E / (1 + s * c["TR"]) * Pv) * E
-            given = self.stabilizer(s, c)
+            transfer = self.stabilizer(s, c)
             needed = 1.0 / np.linalg.eigvals(G)
-            left.append(np.log(given / needed[np.argmin(abs(needed / given - 1))]))
+            left.append(np.log(transfer / needed[np.argmin(abs(needed / transfer - 1))]))
         moved = np.array(left) / self.slope
         return np.concatenate([moved.real / HALF[0], moved.imag / HALF[1]])
 

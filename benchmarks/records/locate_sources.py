@@ -33,13 +33,13 @@ def main() -> None:
     parser.add_argument("--case", default="wecc-240")
     parser.add_argument("--records", type=int, default=20)
     parser.add_argument("--seed", type=int, default=1)
-    asked = parser.parse_args()
-    case = ia.load_case(asked.case)
+    options = parser.parse_args()
+    case = ia.load_case(options.case)
     plant = sparse_linear_plant(case, default_cache())
     counts = dict.fromkeys(("right", "one of several", "not named", "wrong"), 0)
     first_two = 0
-    for number in range(asked.records):
-        rng = np.random.default_rng((asked.seed, number))
+    for number in range(options.records):
+        rng = np.random.default_rng((options.seed, number))
         f = round(float(np.exp(rng.uniform(np.log(0.15), np.log(1.2)))), 4)
         events, truth = sources(case, plant, rng, f, 2 if number % 5 == 4 else 1)
         record = recorded(case, events, rng)
@@ -56,7 +56,7 @@ def main() -> None:
         counts[kind] += 1
         first_two += truth in [pairs(c) for c in answer.candidates if len(c.places) == len(truth)][:2]
         print(f"{number:3d} {f:.3f} Hz {sorted(truth)}: {kind}; {answer.why} ({took:.2f} s)", flush=True)
-    print(f"{asked.case}, {asked.records} records: " + ", ".join(f"{k} {v}" for k, v in counts.items()))
+    print(f"{options.case}, {options.records} records: " + ", ".join(f"{k} {v}" for k, v in counts.items()))
     print(f"the source among the first two candidates: {first_two}")
 
 

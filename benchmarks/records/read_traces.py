@@ -79,8 +79,10 @@ def case_of_trace(
         if machine is None:
             raise CaseError(f"{place}: {model} is not modelled")
         if model == "DEGOV":
-            given = {name: value for name, value in constants.items() if name != "TD"}  # 0: no delay
-            change[machine.name] = {"governor": {"kind": "degov" if as_given else "degov_fed_back"} | given}
+            undelayed = {name: value for name, value in constants.items() if name != "TD"}  # 0: no delay
+            change[machine.name] = {
+                "governor": {"kind": "degov" if as_given else "degov_fed_back"} | undelayed
+            }
     devices = [] if as_given else [Path(__file__).parent / "degov_fed_back.toml"]
     return case.with_changes({"devices": devices, "machines": change}) if change else case
 
@@ -185,7 +187,7 @@ def compare(
     names = lines[0].strip().split(",")
     texts = [row.strip().split(",") for row in lines[1:] if row.strip()]
     data = np.array([[float(v or "nan") for v in row] for row in texts])
-    wanted = columns(names[1:], case)
+    columns_of_record = columns(names[1:], case)
     time = np.round(data[:, 0] / h) * h if h else data[:, 0]
     if events[0].kind == "branch_trip" and "DEGOV" in trace["id"]:
         time = data[:, 0]
@@ -193,17 +195,17 @@ def compare(
     apart = 2.0 * h if h else 1e-4
     last = np.append(np.diff(time) > 0.0, True)  # of two rows at a time the first is that before a jump
     clear = last & (time >= 0.0) & np.all([np.abs(time - t) > apart for t in starts], axis=0)
-    held = None
+    settled = None
     if late_limits and trace["id"] in LATE:
         field, free = (data[:, names.index(name)] for name in LATE[trace["id"]])
         late = np.flatnonzero(field > free + 1e-3)[[0, -1]]
-        held = time[late], field[late]
-        clear &= (time < held[0][0]) | (time > held[0][1] + apart)
+        settled = time[late], field[late]
+        clear &= (time < settled[0][0]) | (time > settled[0][1] + apart)
     times, data = time[clear], data[clear]
-    variables = [variable for variable, _ in wanted.values()]
+    variables = [variable for variable, _ in columns_of_record.values()]
     plant = PlantSlave(case, events, 0.001)
-    if held is not None:
-        rows = held_field_steps(plant, case, events, times, variables, held)
+    if settled is not None:
+        rows = held_field_steps(plant, case, events, times, variables, settled)
     elif two_steps and h:
         steps = heun_steps if trace.get("tool") == "PowerWorld" else psse_steps
         rows = steps(plant, case, events, float(times[-1]), h, variables)[np.round(times / h).astype(int)]
@@ -211,7 +213,7 @@ def compare(
         rows = plant.record(times.tolist(), variables)
     plant.close()
     result = {}
-    for k, (name, (_, shown)) in enumerate(wanted.items()):
+    for k, (name, (_, shown)) in enumerate(columns_of_record.items()):
         column = names.index(name)
         record, half = data[:, column], printed_half([row[column] for row in texts])[clear]
         error = np.abs(shown(rows[:, k]) - record)

@@ -34,10 +34,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("model", type=Path)
     parser.add_argument("records", type=Path, nargs="+")
-    asked = parser.parse_args()
-    text = asked.model.read_text(encoding="utf-8")
+    options = parser.parse_args()
+    text = options.model.read_text(encoding="utf-8")
     plants, first, wrong = {}, 0, 0
-    for path in asked.records:
+    for path in options.records:
         number, scale, frequency = of_name(path.name)
         if scale not in plants:
             case = case_of(text, scale)
@@ -58,7 +58,7 @@ def main() -> None:
             f"{path.name}: {truth.name} at {frequency:g} Hz; bus {of_bus.index(f'bus{truth.bus}') + 1} of "
             f"{len(of_bus)}, machine {of_machines.index(truth.name) + 1} of {len(names)}; {answer.why}"
         )
-    print(f"first of the machines {first} of {len(asked.records)}, named but wrong {wrong}")
+    print(f"first of the machines {first} of {len(options.records)}, named but wrong {wrong}")
 
 
 def of_name(name):
@@ -83,7 +83,7 @@ def case_of(text, scale):
     """Return the grid of the file with all loads times `scale`, all machines classical."""
     inertia = re.search(r"M = 2\*\[ \.\.\.(.*?)\];", text, re.DOTALL)[1].replace(";", " ").split()
     slack = table(text, "SW.con")[0]
-    held = {int(row[0]): (row[3] * row[1], row[4]) for row in table(text, "PV.con")}
+    regulated = {int(row[0]): (row[3] * row[1], row[4]) for row in table(text, "PV.con")}
     lines = ['name = "wecc-179-psat"', 'title = "WECC 179"', 'source = "WECC_179.m"', "frequency_hz = 60.0"]
     machines = table(text, "Syn.con")
     lines += ["base_mva = 100.0", f'swing = ["G{int(machines[0][0])}", "G{int(machines[-1][0])}"]', "[buses]"]
@@ -109,7 +109,7 @@ def case_of(text, scale):
     lines.append("[machines]")
     for row, H in zip(machines, inertia, strict=True):
         bus = int(row[0])
-        P, V = held.get(bus, (slack[9] * slack[1], slack[3]))
+        P, V = regulated.get(bus, (slack[9] * slack[1], slack[3]))
         more = ", slack = true" if bus == int(slack[0]) else ""
         lines.append(
             f'G{bus} = {{ bus = {bus}, base_mva = {row[1]}, model = "classical", H = {H}, D = {DAMPING}, '

@@ -97,8 +97,8 @@ class ActuatorCells:
         signals = one.sees["own"]
         if not remote or not set(signals) <= set(one.sees[REMOTE]):
             return own
-        tried = [Controller.from_dict(cell.controller) for cell in (own, *remote)]
-        best = self.designs.best_own({one.actuator: signals}, tried)
+        candidates = [Controller.from_dict(cell.controller) for cell in (own, *remote)]
+        best = self.designs.best_own({one.actuator: signals}, candidates)
         terms = one.terms("own", OWN_STARTS)
         K = self._within(replace(best, limit_pu=one.full), terms.effort)
         again = self._judged(one, "own", 0, K, terms)

@@ -62,8 +62,8 @@ def _draw(left: Axes, right: Axes, rows: list[Mapping[str, Any]], name: str, k: 
     damping = [min(row["there"], row["late"]) for row in remote]
     style: dict[str, Any] = {"color": colour, "linestyle": DASHES[k % len(DASHES)], "markersize": 3}
     left.plot(x, damping, "o", label=name, **style)
-    kept = [row["survived"] if row["survived_lost"] is None else row["survived_lost"] for row in remote]
-    right.plot(x, kept, "o", **style)
+    survived = [row["survived"] if row["survived_lost"] is None else row["survived_lost"] for row in remote]
+    right.plot(x, survived, "o", **style)
     for row in (row for row in rows if row["signals"] == "own"):
         left.plot([OWN_AT], [min(row["there"], row["late"])], "s", color=colour, markersize=5)
         right.plot([OWN_AT], [row["survived"]], "s", color=colour, markersize=5)

@@ -29,9 +29,9 @@ def not_covered(table: Judging, signals: Sequence[str], acceptance: Mapping[str,
 
     signals : of the controller. acceptance : its record (`Acceptance.as_dict`); None: it was not run.
     """
-    parts, asked = _faults_left_out(table, acceptance), table.acceptance
+    parts, requested = _faults_left_out(table, acceptance), table.acceptance
     alone = {condition.lost for condition in table.family() if len(condition.lost) == 1}
-    exempt = () if asked is None else asked.never_lost
+    exempt = () if requested is None else requested.never_lost
     missing = [s for s in signals if s in exempt or (acceptance is None and (s,) not in alone)]
     if missing:
         parts.append(f"the loss of {', of '.join(missing)}")

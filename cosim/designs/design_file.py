@@ -167,11 +167,11 @@ class DesignTable(Table):
     @model_validator(mode="after")
     def _one_form(self) -> DesignTable:
         single = {"remote": self.remote, "local": self.local, "actuator": self.actuator}
-        given = [key for key, value in single.items() if value is not None]
-        if self.part and given:
-            raise ValueError(f"give either [[part]] or {', '.join(single)}, got both ({', '.join(given)})")
-        if not self.part and len(given) < len(single):
-            missing = [key for key in single if key not in given]
+        keys = [key for key, value in single.items() if value is not None]
+        if self.part and keys:
+            raise ValueError(f"give either [[part]] or {', '.join(single)}, got both ({', '.join(keys)})")
+        if not self.part and len(keys) < len(single):
+            missing = [key for key in single if key not in keys]
             raise ValueError(f"missing {', '.join(missing)} (or one [[part]] for each actuator)")
         return self
 
@@ -310,10 +310,10 @@ def run_design(
     searched = scaled_inputs(made.system, table.gain_of)
     system = searched if guard is None else with_input(searched, guard.follows)
     controller = Controller(table.name, system, table.limit_pu, facts, guard=guard)
-    held = certify(table, controller, cache, progress=lambda _, share: progress(certifying, share, ""))
+    certificate = certify(table, controller, cache, progress=lambda _, share: progress(certifying, share, ""))
     progress(certifying, 1.0, "")
-    tried = {f"start {k}": K for k, K in enumerate(made.tried, start=1)}
-    return Designed(judged_by(table, controller, held), tried)
+    starts = {f"start {k}": K for k, K in enumerate(made.tried, start=1)}
+    return Designed(judged_by(table, controller, certificate), starts)
 
 
 def _check_followed(table: DesignTable) -> None:
@@ -364,12 +364,12 @@ def judge(
 def steps_of(table: DesignTable, *, acceptance: bool) -> list[str]:
     """Return what `certify` goes through, by the names it tells."""
     linear, faults, accepting = CERTIFICATE_STEPS
-    wanted = {
+    steps = {
         linear: True,
         accepting: acceptance and table.acceptance is not None,
         faults: table.fault is not None,
     }
-    return [step for step, is_wanted in wanted.items() if is_wanted]
+    return [step for step, is_wanted in steps.items() if is_wanted]
 
 
 def certify(
@@ -389,7 +389,7 @@ def certify(
     certificate = judge(table, controller.system, cache, progress=lambda share: progress(linear, share))
     certificate = with_margins(certificate, table, controller.system, cache)
     if acceptance and table.acceptance is not None:
-        tried = judge_acceptance(
+        judged = judge_acceptance(
             controller,
             family_cases(table),
             table.acceptance,
@@ -398,8 +398,8 @@ def certify(
         )
         certificate = replace(
             certificate,
-            acceptance=tried.as_dict(),
-            violations=(*certificate.violations, *tried.violations),
+            acceptance=judged.as_dict(),
+            violations=(*certificate.violations, *judged.violations),
         )
     certificate = replace(
         certificate, not_covered=not_covered(table, controller.inputs, certificate.acceptance)
@@ -438,11 +438,12 @@ def specification_of(controller: Controller | ControllerBank) -> DesignTable | N
 
     Raises ScenarioError where the record is there and is no design.
     """
-    given = controller.design.get("specification")
-    if given is None or (isinstance(given, Mapping) and "conditions" not in given and "point" not in given):
+    specification = controller.design.get("specification")
+    old = isinstance(specification, Mapping) and {"conditions", "point"}.isdisjoint(specification)
+    if specification is None or old:
         return None
     try:
-        return DesignTable.model_validate(given)
+        return DesignTable.model_validate(specification)
     except ValidationError as error:
-        said = f"controller {controller.name}: its specification"
-        raise ScenarioError(*(f"{said}: {line}" for line in mistakes(error, DesignTable))) from error
+        where = f"controller {controller.name}: its specification"
+        raise ScenarioError(*(f"{where}: {line}" for line in mistakes(error, DesignTable))) from error

@@ -69,10 +69,10 @@ class AskTable(Table):
                 self.fastest_pole > slowest_pole,
             ),
         )
-        for asked, value, by, bound, agreed in contradictions:
+        for requested, value, by, bound, agreed in contradictions:
             if not agreed:
                 raise ValueError(
-                    f"{asked} = {value:g} contradicts {by} ({bound:g}): the certificate would fail"
+                    f"{requested} = {value:g} contradicts {by} ({bound:g}): the certificate would fail"
                 )
 
 
@@ -172,10 +172,10 @@ class GuardTable(Table):
     def of(self, signals: Collection[str]) -> GuardTable | None:
         """Return it for a controller that sees these signals alone; None where it watches none of them."""
         watched = {y: tuple(s for s in self._signals(y) if s in signals) for y in self.watched}
-        kept = {y: seen[0] if len(seen) == 1 else seen for y, seen in watched.items() if seen}
-        if not kept or (self.follows is not None and self.follows not in signals):
+        rows = {y: seen[0] if len(seen) == 1 else seen for y, seen in watched.items() if seen}
+        if not rows or (self.follows is not None and self.follows not in signals):
             return None
-        return self.model_copy(update={"watched": kept, "sides": {y: self.sides[y] for y in kept}})
+        return self.model_copy(update={"watched": rows, "sides": {y: self.sides[y] for y in rows}})
 
     def _signals(self, output: str) -> tuple[str, ...]:
         seen = self.watched[output]

@@ -230,8 +230,8 @@ def longest_kept(
     good = {s: (high if last[s] else low) if first[s] else 0.0 for s in settings}
     bad = {s: high for s in settings if first[s] and not last[s]}
     while bad:
-        tried = kept({s: 0.5 * (good[s] + limit) for s, limit in bad.items()})
-        for s, holds in tried.items():
+        stable = kept({s: 0.5 * (good[s] + limit) for s, limit in bad.items()})
+        for s, holds in stable.items():
             middle = 0.5 * (good[s] + bad[s])
             good[s], bad[s] = (middle, bad[s]) if holds else (good[s], middle)
         bad = {s: limit for s, limit in bad.items() if limit - good[s] > tolerance}

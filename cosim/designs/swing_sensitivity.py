@@ -174,7 +174,7 @@ def _pulsed(
     even = np.arange(t.start_s, stop_s, STEP_S)
     slots = np.arange(t.start_s, peak_s, SLOT_S)
     pulses = [(m, start, sign) for m in machines for start in slots for sign in (1.0, -1.0)]
-    tried = runs.run(
+    outcomes = runs.run(
         [
             FaultRun(
                 [
@@ -196,7 +196,7 @@ def _pulsed(
     for each in runs.case.machines:
         arrays[f"speed_{each.name}"] = np.interp(even, alone.time_s, alone[f"plant.{each.name}_dw"])
     arrays |= {f"to_{m}": np.zeros(even.size) for m in machines}
-    for (name, start, sign), data in zip(pulses, tried, strict=True):
+    for (name, start, sign), data in zip(pulses, outcomes, strict=True):
         # of first order in the pulse the peak moves as the angle at its instant does
         angle = float(np.degrees(np.interp(peak_s, data.time_s, _apart(data, pair))))
         inside = (even >= start - 1e-9) & (even < start + SLOT_S - 1e-9)

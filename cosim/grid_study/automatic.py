@@ -95,11 +95,11 @@ def design_for(
     report(loops, 1.0)
     shown(findings)
     weakest = {"base": weak.weakest.damping_ratio} | {r.point.name: r.least for r in findings.points}
-    tried: list[GridDesign] = []
+    designs: list[GridDesign] = []
     problem = ""
     for taken in findings.sets[:TRIED_SETS]:
         names = ", ".join(taken.chosen.actuators)
-        if clock.over("search") and (tried or problem):
+        if clock.over("search") and (designs or problem):
             clock.leave(f"a design for {names}")
             continue
         report(search, 0.0)
@@ -112,14 +112,16 @@ def design_for(
             problem = str(error)
             continue
         report(search, 1.0)
-        tried.append(GridDesign(proposal, controller))
-        if tried[-1].certificate["passed"]:
-            tried[-1] = _with_faults(tried[-1], cache, clock, weakest, lambda share: report(faults, share))
-            if tried[-1].certificate["passed"]:
+        designs.append(GridDesign(proposal, controller))
+        if designs[-1].certificate["passed"]:
+            designs[-1] = _with_faults(
+                designs[-1], cache, clock, weakest, lambda share: report(faults, share)
+            )
+            if designs[-1].certificate["passed"]:
                 break
-    if not tried:
+    if not designs:
         raise InfeasibleDesign(problem, constraint="stability")
-    best = max(tried, key=_better)
+    best = max(designs, key=_better)
     if best.certificate["acceptance"] is None:
         best = _with_faults(best, cache, clock, weakest, lambda share: report(faults, share))
     report(search, 1.0)
@@ -160,8 +162,8 @@ def _with_faults(
 
 def _better(design: GridDesign) -> tuple[int, float, int]:
     """Return what decides between designs: unstable loops, what is missed of what is asked, lost faults."""
-    certificate, asked = design.certificate, design.proposal.table.ask
-    unstable, short = falls_short(certificate, asked.inter_area, asked.worst_swing)
+    certificate, requested = design.certificate, design.proposal.table.ask
+    unstable, short = falls_short(certificate, requested.inter_area, requested.worst_swing)
     lost = len((certificate["acceptance"] or {}).get("lost", ()))
     taken = max((ModeChange(**mode).taken for mode in certificate["modes"]), default=0.0)
-    return -unstable, min(short, asked.given_away - taken), -lost
+    return -unstable, min(short, requested.given_away - taken), -lost

@@ -104,8 +104,8 @@ class _Faults:
             at = {point: self.cases[point]}
             return asdict(judge_acceptance(limited, at, asked, self.cache, clearing=False))
 
-        kept = self._kept("grid-faults", limit_pu, point, made)
-        fields: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in kept.items()}
+        stored = self._kept("grid-faults", limit_pu, point, made)
+        fields: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in stored.items()}
         return Acceptance(**fields)
 
     def clearing(self, limit_pu: float, point: str) -> tuple[ClearingRow, ...]:
@@ -119,17 +119,17 @@ class _Faults:
     def _kept(
         self, kind: str, limit_pu: float, point: str, made: Callable[[Controller, AcceptanceTable], Any]
     ) -> Any:
-        asked = self.table.acceptance
-        assert asked is not None
+        acceptance = self.table.acceptance
+        assert acceptance is not None
         limited = replace(self.controller, limit_pu=limit_pu, design={}, certificate=None)
         key = content_hash(
             self.cases[point].hash,
             point,
-            asked.model_dump(mode="json"),
+            acceptance.model_dump(mode="json"),
             limited.as_dict(),
             code_hash(AcceptanceTable.__module__),
         )
-        return cached_json(self.cache, kind, key, lambda: made(limited, asked))
+        return cached_json(self.cache, kind, key, lambda: made(limited, acceptance))
 
 
 def _violations(parts: Mapping[str, Acceptance]) -> int:

@@ -112,15 +112,15 @@ def link_designs(
     weak: WeakModes, cache: Path, clock: Clock, *, points: int = POINTS, faults: int = FAULTS
 ) -> LinkDesigns:
     """Return what designs loops of a grid at so many operating points, judged by faults at so many places."""
-    tried = tried_points(weak, cache, clock)
-    least = {row.point.name: row.least for row in tried}
-    base, *others = chosen_points(tried)
-    kept = [base, *sorted(others, key=lambda point: least[point.name])[: points - 1]]
-    cases = {point.name: at_point(weak.case, point) for point in kept}
-    places = acceptance_of(weak, tried, kept[:1], faults).fault
-    nodes = offset_of(weak, tried, set(cases), ENOUGH)
-    asked = [(at, SLOW if at < SLOW_TO else value) for at, value in nodes]
-    offsets = BandOffsets(*(tuple(column) for column in zip(*asked, strict=True)))
+    candidates = tried_points(weak, cache, clock)
+    least = {row.point.name: row.least for row in candidates}
+    base, *others = chosen_points(candidates)
+    chosen = [base, *sorted(others, key=lambda point: least[point.name])[: points - 1]]
+    cases = {point.name: at_point(weak.case, point) for point in chosen}
+    places = acceptance_of(weak, candidates, chosen[:1], faults).fault
+    nodes = offset_of(weak, candidates, set(cases), ENOUGH)
+    targets = [(at, SLOW if at < SLOW_TO else value) for at, value in nodes]
+    offsets = BandOffsets(*(tuple(column) for column in zip(*targets, strict=True)))
     return LinkDesigns(weak, cases, offsets, places, cache)
 
 

@@ -207,9 +207,9 @@ class LinkDesigns:
         )
 
         def made() -> dict[str, Any]:
-            tried = [controller.system, *([] if own_system is None else [own_system])]
+            candidates = [controller.system, *([] if own_system is None else [own_system])]
             conditions = _conditions(sees, latency_ms, terms.near)
-            best = max(tried, key=lambda K: _reached(self._judge(K, conditions)))
+            best = max(candidates, key=lambda K: _reached(self._judge(K, conditions)))
             row = self._judged_row(best, sees, latency_ms, terms.near)
             if self.faults and latency_ms in CLEARED_MS:
                 taken = Controller("link", best, terms.limit_pu)
@@ -234,10 +234,10 @@ class LinkDesigns:
         }
         conditions = _conditions(sees, latency_ms, terms.near)
         assert terms.effort is not None
-        tried, start = [_none(signals, actuators)], None
+        candidates, start = [_none(signals, actuators)], None
         if own is not None and own.system.nstates == STATES * len(sees):
             start = _seeing(own.system, signals)
-            tried.append(start)
+            candidates.append(start)
         for offsets in (self._offsets, self._steady()):
             searched = short_controller(
                 plants,
@@ -249,9 +249,9 @@ class LinkDesigns:
                 starts=terms.guesses(own),
             )
             if searched is not None and np.isfinite(_reached(self._judge(searched, conditions))):
-                tried.append(searched)
+                candidates.append(searched)
                 break
-        best = max(tried, key=lambda K: _reached(self._judge(K, conditions)))
+        best = max(candidates, key=lambda K: _reached(self._judge(K, conditions)))
         return Controller("link", best, terms.limit_pu)
 
     def _steady(self) -> BandOffsets:
@@ -259,8 +259,8 @@ class LinkDesigns:
         weakest = self.weak.weakest
         slower = abs(weakest.eigenvalue.imag)
         nodes = zip(self._offsets.omega, self._offsets.offset, strict=True)
-        asked = tuple(max(value, -weakest.damping_ratio) if at < slower else value for at, value in nodes)
-        return replace(self._offsets, offset=asked)
+        targets = tuple(max(value, -weakest.damping_ratio) if at < slower else value for at, value in nodes)
+        return replace(self._offsets, offset=targets)
 
     def _judge(self, K: control.StateSpace, conditions: Sequence[Condition]) -> FamilyCertificate:
         bands = {point: inter_area_band(plant.modes) for point, plant in self._plants.items()}
@@ -340,11 +340,12 @@ class LinkDesigns:
             with FaultRuns(self.case, self.cache) as runs:
 
                 def kept(cycles: Mapping[int, float]) -> dict[int, bool]:
-                    tried = [
+                    candidates = [
                         self._run(self.faults[k], n, controller, latency_s_of) for k, n in cycles.items()
                     ]
                     return {
-                        k: angle < np.pi for k, angle in zip(cycles, runs.largest_angles(tried), strict=True)
+                        k: angle < np.pi
+                        for k, angle in zip(cycles, runs.largest_angles(candidates), strict=True)
                     }
 
                 places = range(len(self.faults))

@@ -259,9 +259,9 @@ def _with_gains(weak: WeakModes, units: Sequence[Stabilizer], clock: Clock, cach
             return -np.inf
         return min(row.inter_area, WEAK) + min(row.worst_swing, WEAK) if row.stable else -np.inf
 
-    tried = [[min(added * one.K, MOST_GAIN) for one in units] for added in ADDED]
-    values = [reached(gains) for gains in tried]
-    best, value = max(zip(tried, values, strict=True), key=lambda row: row[1])
+    gain_sets = [[min(added * one.K, MOST_GAIN) for one in units] for added in ADDED]
+    values = [reached(gains) for gains in gain_sets]
+    best, value = max(zip(gain_sets, values, strict=True), key=lambda row: row[1])
     for k in range(len(units)):
         for factor in FACTORS:
             if clock.over(STAGE):

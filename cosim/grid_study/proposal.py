@@ -128,8 +128,8 @@ def find(
             "design file",
             constraint="loops",
         )
-    tried = tried_points(weak, cache, clock, progress=lambda share: progress(points, share))
-    return Findings(weak, designs, tried)
+    candidates = tried_points(weak, cache, clock, progress=lambda share: progress(points, share))
+    return Findings(weak, designs, candidates)
 
 
 def propose(
@@ -140,17 +140,17 @@ def propose(
     clock : says how long its search may take. name : of the controller, default that of the case. case : what
     the design file names it by.
     """
-    weak, tried, choices = findings.weak, findings.points, findings.weak.choices
+    weak, candidates, choices = findings.weak, findings.points, findings.weak.choices
     parts = {a: _signals(weak, a, s) for a, s in taken.chosen.loops.items()}
     signals = tuple(dict.fromkeys(s for seen in parts.values() for s in seen))
     conditions = _conditions(signals, choices.latencies_ms)
-    kept = chosen_points(tried)
+    chosen = chosen_points(candidates)
     if weak.plant.nstates > DENSE_STATES:
-        kept = kept[: max(LARGE_ROWS // len(conditions), 2)]
-    names = {point.name for point in kept}
-    acceptance = acceptance_of(weak, tried, kept, RUNS // (1 + len(signals)))
+        chosen = chosen[: max(LARGE_ROWS // len(conditions), 2)]
+    names = {point.name for point in chosen}
+    acceptance = acceptance_of(weak, candidates, chosen, RUNS // (1 + len(signals)))
     guard = _guard(weak, acceptance, parts, cache)
-    least = [_least_of_all(row) for row in tried if row.point.name in names]
+    least = [_least_of_all(row) for row in candidates if row.point.name in names]
     least.append(min(m.damping_ratio for m in weak.all_modes.modes))
     keys: dict[str, Any] = {
         "name": name or re.sub("^(?=[^A-Za-z_])|[^A-Za-z0-9_]+", "_", weak.case.name),
@@ -160,7 +160,7 @@ def propose(
         "fastest_pole": 60.0,
         "effort_cap": [[0.05, choices.effort], [300.0, choices.effort]],
         "effort_under": ["N"],
-        "offset": offset_of(weak, tried, names, min(taken.damping, ENOUGH)),
+        "offset": offset_of(weak, candidates, names, min(taken.damping, ENOUGH)),
         "plant_order": PLANT_ORDER,
         "pade_order": 3,
         "limit_pu": LIMIT_PU,
@@ -179,7 +179,7 @@ def propose(
             {"points": ["base"], "rho": [60.0, 150.0], "steps": 25, "longest_s": clock.seconds(GUESS)},
             {"rho": [150.0, 600.0], "steps": 30, "longest_s": clock.seconds(SEARCH)},
         ],
-        "point": [point.model_dump(mode="json", exclude_unset=True) for point in kept],
+        "point": [point.model_dump(mode="json", exclude_unset=True) for point in chosen],
     }
     if guard:
         keys["guard"] = guard
@@ -331,7 +331,7 @@ def _guard(
 
 def _reasons(findings: Findings, taken: ShortDesign, names: set[str]) -> tuple[str, ...]:
     """Return the reason of each choice, one line each."""
-    weak, tried = findings.weak, findings.points
+    weak, candidates = findings.weak, findings.points
     lines = [f"Made for {weak.case.name} from the grid alone; every number may be changed by hand."]
     lines += ["Targets: " + ", ".join(in_words(m) for m in weak.targets) + "."]
     if weak.others:
@@ -350,13 +350,13 @@ def _reasons(findings: Findings, taken: ShortDesign, names: set[str]) -> tuple[s
         else f"because a design for {', '.join(first.chosen.actuators)} missed what is asked"
     )
     lines.append(f"Taken: {', '.join(taken.chosen.actuators)}, {why}.")
-    for row in tried:
+    for row in candidates:
         if not row.problem:
             state = f"inter-area {row.least:.3f}, moves by {100.0 * row.moved:.0f} %"
             lines.append(f"Point {row.point.name}: {state}{'; taken' if row.point.name in names else ''}.")
-    if missing := [row.point.name for row in tried if row.problem]:
+    if missing := [row.point.name for row in candidates if row.problem]:
         lines.append(f"No operating point of a stable whole grid: {', '.join(missing)}.")
-    least = min([weak.weakest.damping_ratio, *(r.least for r in tried if r.point.name in names)])
+    least = min([weak.weakest.damping_ratio, *(r.least for r in candidates if r.point.name in names)])
     lines.append(
         f"Asked: inter-area {weak.wanted:.3f} (without control {least:.3f} at the worst point), no mode more "
         f"than {weak.choices.given_away:g} below itself without control."

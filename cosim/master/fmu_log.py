@@ -62,8 +62,8 @@ class FmuLog(Log):
 
     def warning(self) -> str:
         """Return one line on calls with a warning and messages of a warning or worse; "" where none came."""
-        said = [line for line in self.lines if line[1] >= WARNING and line[2]]
-        quoted = f": {said[0][2][:300]!r}" if said else ", without a message"
+        warnings = [line for line in self.lines if line[1] >= WARNING and line[2]]
+        quoted = f": {warnings[0][2][:300]!r}" if warnings else ", without a message"
         if self.warnings:
             steps = self.warnings[_STEP]
             calls = [f"{steps} step{'s' * (steps != 1)}"] if steps else []
@@ -71,9 +71,9 @@ class FmuLog(Log):
             return (
                 f"{self.name}: {' and '.join(calls)} with a warning{_when(', first', self.first_s)}{quoted}"
             )
-        if said:
-            number = f"{len(said)} message{'s' * (len(said) != 1)}"
-            return f"{self.name}: logged {number} of a warning{_when(', first', said[0][0])}{quoted}"
+        if warnings:
+            number = f"{len(warnings)} message{'s' * (len(warnings) != 1)}"
+            return f"{self.name}: logged {number} of a warning{_when(', first', warnings[0][0])}{quoted}"
         return ""
 
     def as_text(self) -> list[str]:

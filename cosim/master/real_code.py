@@ -124,10 +124,10 @@ class ServedRealCode:
 
     def _call(self, name: str) -> None:
         code = self._model.call(name, self.time_s)
-        said = self._model.text()
-        if code == MESSAGE and said:
-            print(said, file=sys.stderr, flush=True)
+        message = self._model.text()
+        if code == MESSAGE and message:
+            print(message, file=sys.stderr, flush=True)
         if code >= ERROR:
             raise StepError(
-                f"return code {code}", instance=self.name, call=name, time_s=self.time_s, last_log=said
+                f"return code {code}", instance=self.name, call=name, time_s=self.time_s, last_log=message
             )

@@ -63,8 +63,8 @@ def make_nodes(
         into = graph.into(name)
         feeds = [Feed(k, by_name[str(c.source)], c.gain, c.offset) for k, c in enumerate(into)]
         order = 0 if holds else min(3, d.input_order)
-        held = all(f.signal.kind == "held" for f in feeds)
-        parts = 1 if holds or order or held or not d.variable_step else substeps
+        all_held = all(f.signal.kind == "held" for f in feeds)
+        parts = 1 if holds or order or all_held or not d.variable_step else substeps
         owned = [s for s in signals if s.owner == name]
         nodes[name] = Node(p, feeds, owned, order=order, substeps=parts)
     return nodes

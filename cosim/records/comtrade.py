@@ -139,9 +139,9 @@ def _read(path: Path, text: str, data: bytes) -> Comtrade:
 
 
 def _analog(lines: _Lines) -> Analog:
-    wanted = "an analog channel: number, name, phase, circuit, unit, a, b, ..."
-    field = lines.next(wanted, 7)
-    a, b = lines.number_of(field[5], wanted), lines.number_of(field[6], wanted, 0.0)
+    layout = "an analog channel: number, name, phase, circuit, unit, a, b, ..."
+    field = lines.next(layout, 7)
+    a, b = lines.number_of(field[5], layout), lines.number_of(field[6], layout, 0.0)
     return Analog(field[1], field[3], field[2], field[4], a, b)
 
 

@@ -166,9 +166,9 @@ def fitted(
         notes.append(f"{np.sum(np.logical_not(judged))} frames beside jumps of the voltage are not judged")
     if names:
         slopes = problem.slopes(np.ones(len(names)), power, y)
-        kept = _shown(slopes, names, kept_as_is)
-        problem = _Problem(bench, tuple(names[k] for k in kept), starts[kept], measured, judged, noise)
-        columns = slopes[:, [*kept, len(names), len(names) + 1]]
+        visible = _shown(slopes, names, kept_as_is)
+        problem = _Problem(bench, tuple(names[k] for k in visible), starts[visible], measured, judged, noise)
+        columns = slopes[:, [*visible, len(names), len(names) + 1]]
         u, power, y, covariance = _minimised(problem, columns, power, y, progress)
         wide = float(norm.ppf(0.5 + 0.5 * LEVEL))
         scale = problem.starts
@@ -219,22 +219,22 @@ def _noise(values: Array) -> Array:
 
 def _shown(slopes: Array, names: Sequence[str], kept_as_is: dict[str, str]) -> list[int]:
     """Return which parameters the record shows; say of the others in `kept_as_is` why not."""
-    kept = list(range(len(names)))
-    while kept:
+    places = list(range(len(names)))
+    while places:
         rest = slopes[:, -2:]
-        own = slopes[:, kept]
+        own = slopes[:, places]
         own = own - rest @ np.linalg.lstsq(rest, own, rcond=None)[0]
         _, sigma, right = np.linalg.svd(own, full_matrices=False)
         if sigma[-1] * LIMIT >= 1.0:
             break
         direction = right[-1]
         worst = int(np.argmax(np.abs(direction)))
-        others = [names[kept[k]] for k in np.flatnonzero(np.abs(direction) > _PARTNER) if k != worst]
+        others = [names[places[k]] for k in np.flatnonzero(np.abs(direction) > _PARTNER) if k != worst]
         spread = f"{1.0 / sigma[-1]:.0%} of it" if sigma[-1] > 1e-3 else "any share of it"
         together = f" together with {', '.join(others)}" if others else ""
-        kept_as_is[names[kept[worst]]] = f"moves nothing by {spread}{together} that the record shows; kept"
-        del kept[worst]
-    return kept
+        kept_as_is[names[places[worst]]] = f"moves nothing by {spread}{together} that the record shows; kept"
+        del places[worst]
+    return places
 
 
 def _minimised(

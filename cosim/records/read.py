@@ -75,10 +75,10 @@ def read_record(
     values = values * np.array([r.factor for r in raws]) + np.array([r.offset for r in raws])
     values, raws, flagged = _without_flagged(values, raws)
     _check_scales(name, values, raws)
-    place, step_s, said = even_times(name, stamps)
+    place, step_s, remark = even_times(name, stamps)
     piece, cut = longest_piece(name, place, step_s, fill_s)
     values, raws, filled = on_axis(name, place[piece], values[piece], raws, step_s, fill_s)
-    notes = [*notes, *flagged, *said, *cut, *filled]
+    notes = [*notes, *flagged, *remark, *cut, *filled]
     if rate_hz is not None:
         values, step_s, resampling = resampled(values, step_s, rate_hz, name)
         notes += [resampling] if resampling else []

@@ -140,11 +140,11 @@ def _best(
     record: Record, band_hz: tuple[float, float], quantity: str | None, still: set[str]
 ) -> tuple[str, list[str], list[str]]:
     """Return the first quantity that moves and whose numbers are fine enough, its channels, and notes."""
-    wanted = _QUANTITIES if quantity is None else (quantity,)
-    there = {q: [c.name for c in record.channels if c.quantity == q] for q in wanted}
-    live = [q for q in wanted if not still.issuperset(there[q])]
+    quantities = _QUANTITIES if quantity is None else (quantity,)
+    there = {q: [c.name for c in record.channels if c.quantity == q] for q in quantities}
+    live = [q for q in quantities if not still.issuperset(there[q])]
     fine = [q for q in live if q in _ANGLES or not _coarse(record, set(there[q]) - still, band_hz)]
-    what = (fine or live or list(wanted))[0]
+    what = (fine or live or list(quantities))[0]
     coarse = quantity is None and bool(live) and what != live[0]
     return what, there[what], [f"{live[0]}: its numbers are too coarse"] if coarse else []
 

@@ -88,8 +88,8 @@ def compared_name(controller: ControllerLike) -> str:
 
 def folder_from(scenario: Scenario, controller: ControllerLike) -> Path:
     """Return the folder from which a controller's file is named: where one stands, or the scenario's."""
-    here = not isinstance(controller, str | Path) or Path(controller).exists()
-    return Path() if here else scenario.folder
+    exists = not isinstance(controller, str | Path) or Path(controller).exists()
+    return Path() if exists else scenario.folder
 
 
 def compare_controllers(

@@ -56,17 +56,17 @@ def start_values(
             f"{name}: start = {start!r}, allowed: start values by name; of a variable called start: "
             f"start={{'start': {start!r}}}"
         )
-    given = dict(start or {})
-    if twice := sorted(given.keys() & values.keys()):
+    start_of = dict(start or {})
+    if twice := sorted(start_of.keys() & values.keys()):
         raise GraphError(f"{name}: {twice[0]} is given twice, in start and as a keyword; give it once")
     for option, value in options.items():
-        if value and option in file.variables and option not in given:
+        if value and option in file.variables and option not in start_of:
             raise GraphError(
                 f"{name}: {option} = {value!r} is an option here, and {file.path.name} has a variable of "
                 f"that name; give the variable in start={{{option!r}: ...}}, with its start value "
                 f"{file.variables[option].start} where the option is meant"
             )
-    return given | dict(values)
+    return start_of | dict(values)
 
 
 class Fmus:

@@ -143,14 +143,14 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("controller", help="that acts in the runs")
     parser.add_argument("signals", nargs="+", help="outputs of the plant that are frequencies, three or more")
     parser.add_argument("--out", type=Path, required=True, help="JSON file that [detector] file names")
-    asked = parser.parse_args(words)
+    options = parser.parse_args(words)
     try:
-        design = design_detector(asked.case, asked.controller, asked.signals)
+        design = design_detector(options.case, options.controller, options.signals)
     except UserError as error:
         print(*error.args, sep="\n", file=sys.stderr)
         return 2
     print(
-        f"{design.save(asked.out)}: made of {design.made_of} runs; largest score of right signals in "
+        f"{design.save(options.out)}: made of {design.made_of} runs; largest score of right signals in "
         f"{design.judged_by} others {design.largest:.2f}, threshold {design.patterns.threshold:.2f}; a "
         f"signal may span {design.patterns.alone:.2f} times as much as the others"
     )

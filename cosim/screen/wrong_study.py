@@ -83,8 +83,8 @@ def study_wrong_signals(
             report(making, 0.0)
             file, problem = _detector(subject, out, cache, partial(report, making))
             report(making, 1.0)
-            asked = (kinds, disturbances)
-            result = _certificate(subject, file, asked, out, cache, partial(report, running))
+            question = (kinds, disturbances)
+            result = _certificate(subject, file, question, out, cache, partial(report, running))
             done.append({**result, **summary_of(result), "no_detector": problem, "fault": str(subject.place)})
             written()
             report(running, 1.0)
@@ -101,19 +101,19 @@ def _detector(
 ) -> tuple[Path | None, str]:
     """Return the file of the controller's detector, designed where it is not there; else None and why."""
     file = out / f"detector_{subject.name}.json"
-    wanted = tuple(signals_of(subject.case, subject.controller).all)
+    signals = tuple(signals_of(subject.case, subject.controller).all)
     try:
-        held: DetectorDesign | None = load_detector(file)
+        stored: DetectorDesign | None = load_detector(file)
     except DetectorDesignError:
-        held = None
-    if held is None or (held.case, held.controller, held.signals) != (
+        stored = None
+    if stored is None or (stored.case, stored.controller, stored.signals) != (
         subject.case.name,
         subject.name,
-        wanted,
+        signals,
     ):
         try:
             designed = design_detector(
-                subject.case, subject.name, wanted, cache=cache, interval_s=INTERVAL_S, progress=progress
+                subject.case, subject.name, signals, cache=cache, interval_s=INTERVAL_S, progress=progress
             )
         except DetectorDesignError as error:
             return None, str(error)
@@ -143,9 +143,9 @@ def _certificate(
         made_of.append(detector.read_text(encoding="utf-8"))
     key = hashlib.sha256("\n".join([*made_of, version("interarea")]).encode()).hexdigest()
     if file.is_file():
-        held: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
-        if held.get("key") == key:
-            return held
+        stored: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+        if stored.get("key") == key:
+            return stored
     certificate = certify_wrong_signals(
         subject.case,
         subject.controller,

@@ -298,12 +298,12 @@ def load_controller(path: str | Path) -> Controller | ControllerBank:
         raise ControllerError(f"bank file {path}: schema is {data.get('schema')!r}, allowed: {SCHEMA}")
     try:
         members = tuple(Controller.from_dict(m) for m in data["members"])
-        given = {k: float(data[k]) for k in ("limit_pu", "fade_s", "loss_s", "return_s")}
+        limits = {k: float(data[k]) for k in ("limit_pu", "fade_s", "loss_s", "return_s")}
         P = data.get("lyapunov")
         return ControllerBank(
             data["name"],
             members,
-            **given,
+            **limits,
             design=data.get("design", {}),
             certificate=data.get("certificate"),
             lyapunov=None if P is None else np.array(P, dtype=float),

@@ -129,7 +129,7 @@ class Controller:
 
     def _repr_html_(self) -> str:
         poles = np.sort(np.abs(np.linalg.eigvals(np.asarray(self.system.A))))
-        held = {True: "passed", False: "not passed", None: "on record"}
+        results = {True: "passed", False: "not passed", None: "on record"}
         judged = None if self.certificate is None else self.certificate.get("passed")
         lines = {
             "signals (rad/s)": ", ".join(self.inputs),
@@ -138,7 +138,7 @@ class Controller:
             "states": str(self.order),
             "poles (rad/s)": f"{poles[0]:.3g} to {poles[-1]:.3g}" if len(poles) else "none",
             "made by": str(self.design.get("method", "-")),
-            "certificate": "none" if self.certificate is None else held[judged],
+            "certificate": "none" if self.certificate is None else results[judged],
         }
         return table_html(f"controller {self.name}", lines)
 

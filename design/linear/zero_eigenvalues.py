@@ -171,12 +171,12 @@ def _together(plant: SparsePlant, loop: Loop | None) -> tuple[bool, bool]:
 
 def _integrators(plant: SparsePlant) -> tuple[npt.NDArray[np.intp], Matrix, Matrix]:
     """Rows w of devices with w A_k = 0: device of each (r,), w (r, m) and w B_k (r, 2), both of size 1."""
-    held = plant.place < plant.nstates
+    plant_rows = plant.place < plant.nstates
     slow = np.flatnonzero(np.abs(plant.device_poles) < _SLOW)
     of, rows, seen = [], [], []
     machines = plant.place[: len(plant.machines)]
     for k in np.flatnonzero(np.isin(machines, slow).any(axis=1)):
-        own = held[k]
+        own = plant_rows[k]
         A, B = plant.A[k][np.ix_(own, own)], plant.B[k][own]
         across = _sizes(np.hstack([A, B]).T)
         down = _sizes(A / across[:, None])

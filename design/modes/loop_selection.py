@@ -226,12 +226,12 @@ def lead_by_coordinates(
     signals = {loop.signal: dict(loop.outputs) for loop in loops.ranking}
     actuators = [n for n in system.input_labels if any(loop.actuator == n for loop in loops.ranking)]
     picked = select(system, actuators, signals)
-    tried = {"states as modelled (rad, pu)": picked}
-    tried |= {f"balanced reduction to {k} states": balanced_truncation(picked, k).system for k in orders}
-    tried["balanced, every state"] = balanced_truncation(picked, picked.nstates).system
+    forms = {"states as modelled (rad, pu)": picked}
+    forms |= {f"balanced reduction to {k} states": balanced_truncation(picked, k).system for k in orders}
+    forms["balanced, every state"] = balanced_truncation(picked, picked.nstates).system
     at = [(list(signals).index(loop.signal), actuators.index(loop.actuator)) for loop in loops.ranking]
     rows = [("pole vectors (free of coordinates)", [loop.index for loop in loops.ranking])]
-    for name, coordinates in tried.items():
+    for name, coordinates in forms.items():
         table, _ = _geometric_index(coordinates, eigenvalue)
         rows.append((name, [float(table[place]) for place in at]))
     out = []

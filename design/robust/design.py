@@ -107,8 +107,8 @@ def design_robust(
         )
     K = _with_washout(objective.unpack(theta), spec)
     reached = tuple(each for each, _ in result)
-    tried = tuple(_with_washout(objective.unpack(start), spec) for _, start in result)
-    return RobustDesign(K, value, worst, rightmost, count, reached, tried)
+    ends = tuple(_with_washout(objective.unpack(start), spec) for _, start in result)
+    return RobustDesign(K, value, worst, rightmost, count, reached, ends)
 
 
 def planned(spec: RobustSpec, conditions: float, points: int) -> dict[str, float]:
@@ -131,9 +131,9 @@ def planned(spec: RobustSpec, conditions: float, points: int) -> dict[str, float
             for what in stage_parts(k, len(spec.stages), spec.starts + starts_given):
                 parts[what] = share * len(stage.rho) * TURNS * (stage.steps * STEP + BETWEEN)
     else:
-        tried = conditions * (min(spec.starts_on, points) or points)
+        starts = conditions * (min(spec.starts_on, points) or points)
         count = spec.starts + starts_given
-        parts |= {f"start {k} of {count}": tried * each for k in range(1, count + 1)}
+        parts |= {f"start {k} of {count}": starts * each for k in range(1, count + 1)}
         parts |= {
             f"polish {k + 3} of {spec.polishes}": models * 3 * ROUND for k in range(0, spec.polishes, 3)
         }

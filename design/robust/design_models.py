@@ -49,8 +49,8 @@ def build_objective(plants: Mapping[str, control.StateSpace], spec: RobustSpec, 
             requested = (spec.more.get(point), condition.wanted(spec.more_under))
             more = tuple(each for each in requested if each is not None)
             models.append(replace(_design_model(name, small, spec, condition), more=more))
-            held = not spec.effort_under or condition.name in spec.effort_under
-            if spec.effort_cap is not None and held:
+            limited = not spec.effort_under or condition.name in spec.effort_under
+            if spec.effort_cap is not None and limited:
                 efforts.append(_effort_grid(name, omega, response, spec, condition))
     return Objective(
         models,

@@ -44,13 +44,13 @@ def first_guess(objective: Objective, rng: np.random.Generator, bound: float) ->
     outputs, inputs = C != 0.0, B != 0.0
     best = np.zeros_like(C)
     best[outputs] = _best(np.einsum("ksij,sj->kis", moves, drawn)[:, outputs], worst, bound)
-    tried = [objective.pack(A, drawn, factor * best) for factor in FACTORS]
+    guesses = [objective.pack(A, drawn, factor * best) for factor in FACTORS]
     if inputs.sum(axis=1).max() > COVERED:
         best = np.zeros_like(B)
         best[inputs] = _best(np.einsum("ksij,is,s->ksj", moves, C, poles)[:, inputs], worst, bound)
         # a state's share is as large as its input gain over its pole
-        tried += [objective.pack(A, factor * poles[:, None] * best, C) for factor in FACTORS]
-    return tried[int(np.argmin([objective.value(theta) for theta in tried]))]
+        guesses += [objective.pack(A, factor * poles[:, None] * best, C) for factor in FACTORS]
+    return guesses[int(np.argmin([objective.value(theta) for theta in guesses]))]
 
 
 def _moves(objective: Objective, poles: Array) -> tuple[Array, Array]:

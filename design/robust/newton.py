@@ -80,11 +80,11 @@ def newton_descent(
         before, tries, ratio = value, 0, 0.0
         while held < 1e9:
             move, predicted = near.least(held)
-            tried = theta + scale * move
-            reached, count, tries = _value(objective, tried), count + 1, tries + 1
+            moved = theta + scale * move
+            reached, count, tries = _value(objective, moved), count + 1, tries + 1
             ratio = (value - reached) / max(predicted, 1e-300)
             if ratio > ACCEPTED:
-                theta, value = tried, reached
+                theta, value = moved, reached
                 break
             held *= 4.0
         if tries == 1 and ratio > RELAXED:
@@ -178,14 +178,14 @@ class Expansion:
                     break
                 length = 1.0
                 while length > 1e-6:
-                    tried = move + length * step
-                    there = smooth.value(tried) + 0.5 * held * float(tried @ tried)
+                    moved = move + length * step
+                    there = smooth.value(moved) + 0.5 * held * float(moved @ moved)
                     if there <= value_here - 0.1 * length * fall:
                         break
                     length *= 0.5
                 else:
                     break
-                move, value_here = tried, there
+                move, value_here = moved, there
         return move, self.value(np.zeros(n)) - self.value(move)
 
     def _weighed(self, move: Array) -> tuple[float, Array]:

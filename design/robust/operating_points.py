@@ -133,8 +133,8 @@ def judge_family(
         *_short_of(rows, conditions, (worst_swing, inter_area), targets or {}),
         *(
             f"{name} is {value:.4g}, asked {own_requested}"
-            for name, value, held, own_requested in requested
-            if not held
+            for name, value, satisfied, own_requested in requested
+            if not satisfied
         ),
     )
     progress(1.0)

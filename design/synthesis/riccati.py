@@ -105,14 +105,14 @@ def without_region(
         *K, D_K = central
         if not _norm(D_K) <= 1e-12 * max(1.0, _norm(K[2]) * _norm(K[1])):
             return None
-        pattern, wanted = {"normal": (P.C2, P.D21)}, {"normal": region}
-        poles_of, norm_of = checked(P, (K[0], K[1], K[2]), pattern, wanted, level, what=what)
+        pattern, regions = {"normal": (P.C2, P.D21)}, {"normal": region}
+        poles_of, norm_of = checked(P, (K[0], K[1], K[2]), pattern, regions, level, what=what)
         return Synthesis(
             controller=P.controller(*K),
             gamma=level,
             norm_of=norm_of,
             poles_of=poles_of,
-            region_of=wanted,
+            region_of=regions,
             solves=0,
             seconds=time.perf_counter() - started,
             engine="Riccati equations",

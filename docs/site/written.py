@@ -75,11 +75,11 @@ def write_samples(folder: Path) -> dict[str, Path]:
     """Run the commands of `SAMPLES`; return the folder of each, and that of two certificates of `robust`."""
     (folder / "sweep.toml").write_text(SWEEP, encoding="utf-8")
     for name, words in SAMPLES.items():
-        given = [word.format(folder=folder) for word in words]
-        command = [sys.executable, "-m", "interarea", *given, "--out", str(folder / name)]
+        arguments = [word.format(folder=folder) for word in words]
+        command = [sys.executable, "-m", "interarea", *arguments, "--out", str(folder / name)]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         if done.returncode:
-            raise RuntimeError(f"{' '.join(given)}: {done.stderr}")
+            raise RuntimeError(f"{' '.join(arguments)}: {done.stderr}")
     record = json.loads(Path(bundled.__file__).with_name("robust.json").read_text(encoding="utf-8"))
     (folder / "design").mkdir()
     text = json.dumps(record["certificate"])

@@ -98,16 +98,16 @@ class Drive:
 
     def _excite(self, instance: Instance, k: int) -> None:
         """Move every Real input; in model exchange discrete ones only in event mode (FMI2, 3.2.3)."""
-        held: list[tuple[ScalarVariable, float]] = []
+        constant: list[tuple[ScalarVariable, float]] = []
         moving: list[tuple[ScalarVariable, float]] = []
         for i, v in enumerate(self.inputs):
             size = 0.01 * abs(v.number("nominal") or 1.0)
             wave = 1.0 if self.constant else math.sin(1.3 * k + i)
             in_events = instance.library.interface == "ModelExchange" and v.variability == "discrete"
-            (held if in_events else moving).append((v, (v.number("start") or 0.0) + size * wave))
-        if held:
+            (constant if in_events else moving).append((v, (v.number("start") or 0.0) + size * wave))
+        if constant:
             instance.do("EnterEventMode")
-            for v, value in held:
+            for v, value in constant:
                 instance.set(v, value)
             instance.to_continuous()
         for v, value in moving:

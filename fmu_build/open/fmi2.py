@@ -288,8 +288,8 @@ class Instance:
     def set(self, v: ScalarVariable, value: float) -> int:
         """Set one numeric or Boolean variable; return the status."""
         kind = _getter(v)
-        held = c_double(value) if kind == "Real" else c_int(int(value))
-        return self.call("Set" + kind, references([v]), 1, byref(held))
+        converted = c_double(value) if kind == "Real" else c_int(int(value))
+        return self.call("Set" + kind, references([v]), 1, byref(converted))
 
     def directional(
         self, unknowns: Sequence[ScalarVariable], known: ScalarVariable, direction: float = 1.0

@@ -87,11 +87,11 @@ class FmuFile:
 
     def _unpacked(self) -> Path:
         """Unpack what is used of the archive into a new folder and return that."""
-        wanted = (f"binaries/{self._platform}/", "resources/")
+        folders = (f"binaries/{self._platform}/", "resources/")
         report, folder = Report(str(self.path)), new_folder()
         whole = False
         try:
-            whole = unpack_checked(self.path, folder, report, wanted=lambda n: n.startswith(wanted))
+            whole = unpack_checked(self.path, folder, report, wanted=lambda n: n.startswith(folders))
         finally:
             if not whole:
                 shutil.rmtree(folder, ignore_errors=True)
@@ -125,11 +125,11 @@ class FmuFile:
                 image = read_image(file.read_bytes())
             except ImageError as error:
                 raise FmuFileError(f"{where}: {error}; build the FMU again") from error
-            wanted = FOLDERS[host_folders()[0]]
-            if image.format != wanted[0] or wanted[1] not in image.machine.split("+"):
+            folder = FOLDERS[host_folders()[0]]
+            if image.format != folder[0] or folder[1] not in image.machine.split("+"):
                 raise FmuFileError(
-                    f"{where} is {image.format} for {image.machine}, this machine loads {wanted[0]} for "
-                    f"{wanted[1]}; build the FMU for this platform"
+                    f"{where} is {image.format} for {image.machine}, this machine loads {folder[0]} for "
+                    f"{folder[1]}; build the FMU for this platform"
                 )
             self._known.add(file)
         return file

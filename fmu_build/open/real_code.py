@@ -197,14 +197,14 @@ class Values:
 
     def __setitem__(self, name: str, value: float | str) -> None:
         field = self._fields[name]
-        held = getattr(self.structure, field)
+        current = getattr(self.structure, field)
         if isinstance(value, str):
             self._texts.append(value.encode())  # the structure only points to it
             setattr(self.structure, field, self._texts[-1])
-        elif isinstance(held, ctypes.Array):
-            held[0] = value
+        elif isinstance(current, ctypes.Array):
+            current[0] = value
         else:
-            setattr(self.structure, field, int(value) if isinstance(held, int | bytes) else value)
+            setattr(self.structure, field, int(value) if isinstance(current, int | bytes) else value)
 
     def __getitem__(self, name: str) -> float:
         value = getattr(self.structure, self._fields[name])

@@ -78,9 +78,9 @@ def _grid_study(kind: str, grid: str, dyr: Path | None, out: Path) -> str:
     if loaded is None:
         raise UserError(f"new {kind} {grid}: no grid, allowed: `new study` and a case, .raw or .m file")
     with busy(f"modes of {loaded[0].name}"):
-        asked, lines = defaults_of(loaded[0], default_cache())
+        defaults, lines = defaults_of(loaded[0], default_cache())
     named = {"grid": _seen_from(out, grid), "dyr": None if dyr is None else _seen_from(out, str(dyr))}
-    choices = Choices.model_validate({**named, **asked})
+    choices = Choices.model_validate({**named, **defaults})
     return choices_text(choices, lines)
 
 

@@ -112,8 +112,8 @@ def run(
 
 def _refuse_unused(options: Mapping[str, object]) -> None:
     """Refuse options about files where none is written."""
-    for option, given in options.items():
-        if given:
+    for option, value in options.items():
+        if value:
             raise typer.BadParameter(f"a folder for the results is needed by {option}", param_hint="--out")
 
 

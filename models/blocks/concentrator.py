@@ -146,8 +146,12 @@ def frame_sets(parameters: Mapping[str, float], signals: int, start_s: float, st
         arrival[:, i - 1] = np.where(gone, np.inf, stamp + late)
     opened = arrival.min(axis=1) if p.get("relative") else stamp
     released = np.minimum(arrival.max(axis=1), opened + wait)
-    kept = np.isfinite(released)
-    stamp, released, arrival = stamp[kept], np.maximum.accumulate(released[kept]), arrival[kept]
+    released_at_all = np.isfinite(released)
+    stamp, released, arrival = (
+        stamp[released_at_all],
+        np.maximum.accumulate(released[released_at_all]),
+        arrival[released_at_all],
+    )
     valid = arrival <= released[:, None] + _SLACK_S
     return FrameSets(stamp, np.maximum(released, start_s) + p.get("latency", 0.0), valid)
 

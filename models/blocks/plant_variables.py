@@ -95,15 +95,15 @@ def input_variables(point: OperatingPoint) -> list[Variable]:
     """Return the inputs, one for each exciter, SVC, STATCOM and dc link, two for each converter."""
     return [
         Variable(
-            given.name,
+            named_input.name,
             "input",
             "added at the exciter's summing point"
-            if given.word == "vs"
-            else f"added to {_ADDED_TO[given.word]} of {given.row}, pu of its base",
+            if named_input.word == "vs"
+            else f"added to {_ADDED_TO[named_input.word]} of {named_input.row}, pu of its base",
             unit="pu",
             start=0.0,
         )
-        for given in point.controls.inputs
+        for named_input in point.controls.inputs
     ]
 
 

@@ -80,7 +80,7 @@ def _check_voltages(case: CaseTables) -> None:
 
 def _check_svcs(case: CaseTables) -> None:
     machines = {m.name: m.bus for m in case.machines}
-    held: dict[int, Any] = {}
+    regulating: dict[int, Any] = {}
     svcs = {svc.name for svc in case.svcs}
     for row in case.converters:
         if row.name in machines or row.name in svcs:
@@ -108,7 +108,7 @@ def _check_svcs(case: CaseTables) -> None:
                 f"svcs.{svc.name}.V_pu = {svc.V_pu:g}: a machine holds the voltage of bus {svc.bus}, "
                 "allowed: Q_mvar in its place"
             )
-        other = held.setdefault(svc.bus, svc)
+        other = regulating.setdefault(svc.bus, svc)
         if other.V_pu != svc.V_pu:
             raise ValueError(
                 f"svcs.{svc.name}.V_pu = {svc.V_pu:g} but {other.name} at the same bus {svc.bus} has "

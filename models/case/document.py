@@ -99,13 +99,13 @@ def _strangers(document: Mapping[str, Any], change: Mapping[str, Any]) -> Iterat
         if not isinstance(part, Mapping) or not isinstance(there, Mapping):
             continue
         known = [name for name in there if name not in RESERVED]
-        given = {*there.get("defaults", {}), *part.get("defaults", {})}
+        keys = {*there.get("defaults", {}), *part.get("defaults", {})}
         new = {name: row for name, row in part.items() if name not in {*there, *RESERVED}}
         for name, row in new.items():
             nearby = f"{table}.{name}: there is no {name!r} to change; {nearest(name, known)}"
             if row == REMOVED or (table == "buses" and name not in _ends(change)):
                 yield nearby
-            elif isinstance(row, Mapping) and (missing := _needed(table, {*given, *row})):
+            elif isinstance(row, Mapping) and (missing := _needed(table, {*keys, *row})):
                 yield f"{nearby} (a new one needs {', '.join(missing)})"
 
 

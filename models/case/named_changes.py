@@ -60,7 +60,7 @@ def changes_of(case: Case) -> tuple[str, ...]:
     +-20 %, each stabilizer out, governors out: those that `case` can have.
     """
     areas = sorted({machine.area for machine in case.machines})
-    wanted = [
+    changes = [
         *("exciter gain +30 %", "exciter gain -30 %", "inertia +20 %", "inertia -20 %"),
         *(f"inertia of area {area} -30 %" for area in areas if len(areas) > 1),
         *_LOADS,
@@ -68,7 +68,7 @@ def changes_of(case: Case) -> tuple[str, ...]:
         *(f"no stabilizer at {m.name}" for m in case.machines if m.stabilizer is not None),
         "no governors",
     ]
-    return tuple(text for text in wanted if _possible(case, text))
+    return tuple(text for text in changes if _possible(case, text))
 
 
 def load_kind(case: Case, of_p: float, of_q: float) -> Change:

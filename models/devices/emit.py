@@ -254,8 +254,8 @@ class Writer(ExpressionWriter):
             value = f"whole_{name}"
         if e.is_limited:
             self.first[name] = self.decisions
-            held = isinstance(e, Lag | Integrator)
-            call = self.deciding("state" if held else "clamp", 4 if held or isinstance(e, Pi) else 2)
+            dynamic = isinstance(e, Lag | Integrator)
+            call = self.deciding("state" if dynamic else "clamp", 4 if dynamic or isinstance(e, Pi) else 2)
             value = f"{call}{value}, low_{name}, high_{name})"
         yield f"const num s_{name} = {value}{end}"
 
@@ -268,8 +268,8 @@ class Writer(ExpressionWriter):
             value = getattr(self, f"{e.line.element}_rate")(e, state.name)
             yield f"{guard}PUT(dx, at_{state.name} + k, {value});"
             if e.is_limited and isinstance(e, Lag | Integrator):
-                held = f"{self.first[e.line.name]}u, g, at_{state.name} + k"
-                yield f"{guard}LIMITER_ONTO(&l, {held}, low_{e.line.name}, high_{e.line.name});"
+                arguments = f"{self.first[e.line.name]}u, g, at_{state.name} + k"
+                yield f"{guard}LIMITER_ONTO(&l, {arguments}, low_{e.line.name}, high_{e.line.name});"
 
     # ------------------------------------------------------------ elements
 

@@ -54,13 +54,13 @@ class Instance:
 
     def run(self, x: Sequence[Any], inputs: Mapping[str, Any]) -> tuple[dict[str, Any], list[Any]]:
         """Return every signal and the rates of the states, at states `x` with `inputs`."""
-        held = dict(zip(self.state_names, x, strict=True))
+        states = dict(zip(self.state_names, x, strict=True))
         values: dict[str, Any] = self.values | dict(inputs)
         for name in self.order:
-            values[name] = self.model.elements[name].output(held, values, self.on)
+            values[name] = self.model.elements[name].output(states, values, self.on)
         rates: dict[str, Any] = {}
         for element in self.model.elements.values():
-            rates |= element.rates(held, values, self.on)
+            rates |= element.rates(states, values, self.on)
         return values, [rates[name] for name in self.state_names]
 
     def depends_on(self) -> tuple[dict[str, frozenset[str]], frozenset[str]]:

@@ -203,7 +203,7 @@ def _holding(e: Equation, name: str, known: Mapping[str, float]) -> str:
     """Which limit or gate keeps the known left side from its value, in words; empty when none does."""
     if e.left.op != "name" or e.left.name not in known:
         return ""
-    wanted, node = known[e.left.name], e.right
+    target, node = known[e.left.name], e.right
     while node.op in ("min", "max", "clamp") and name in node.names:
         at = next(k for k, part in enumerate(node.args) if name in part.names)
         upper = {"min": range(len(node.args)), "max": (), "clamp": (2,)}[node.op]
@@ -211,10 +211,10 @@ def _holding(e: Equation, name: str, known: Mapping[str, float]) -> str:
             if name in part.names:
                 continue
             value = float(evaluate(part, known))
-            if (value < wanted) if k in upper else (value > wanted):
+            if (value < target) if k in upper else (value > target):
                 word = "below" if k in upper else "above"
                 return (
-                    f"{e.left} is {wanted:.6g} at rest, but {part} = {value:.6g} holds it {word}; change the "
+                    f"{e.left} is {target:.6g} at rest, but {part} = {value:.6g} holds it {word}; change the "
                     "parameters in it or the dispatch"
                 )
         node = node.args[at]
@@ -326,13 +326,13 @@ def _checked(
     model, known = walk.model, walk.known
     values = parameters | {name: float(known[name]) for name in model.device.references}
     instance = Instance(model, values)
-    held: dict[str, float] = {}
+    starts: dict[str, float] = {}
     for element in model.elements.values():
-        held |= element.start(dict(known), instance.on)
-    states = tuple(float(held[name]) for name in instance.state_names)
-    bad = [name for name, value in (held | known).items() if not math.isfinite(value)]
+        starts |= element.start(dict(known), instance.on)
+    states = tuple(float(starts[name]) for name in instance.state_names)
+    bad = [name for name, value in (starts | known).items() if not math.isfinite(value)]
     if bad:
-        raise DeviceError(f"{who}: {bad[0]} is {(held | known)[bad[0]]} at rest; a gain or limit of 0?")
+        raise DeviceError(f"{who}: {bad[0]} is {(starts | known)[bad[0]]} at rest; a gain or limit of 0?")
     margins = tuple(instance.margins(known))
     if check:
         for margin in margins:

@@ -52,7 +52,7 @@ class OperatingPoint:
     @property
     def input_names(self) -> tuple[str, ...]:
         """Names of the inputs: one per exciter, then one per SVC or STATCOM, two per converter."""
-        return tuple(given.name for given in self.controls.inputs)
+        return tuple(named_input.name for named_input in self.controls.inputs)
 
 
 def operating_point(case: Case, power_flow: PowerFlow | None = None) -> OperatingPoint:

@@ -112,11 +112,11 @@ def solve_powerflow(case: Case) -> PowerFlow:
     n = len(case.buses)
     magnitude = np.array([bus.V_pu or 1.0 for bus in case.buses])
     magnitude[machine_bus] = [m.V_pu for m in case.machines]
-    held = {bus_index(case)[s.bus]: s.V_pu for s in case.svcs if s.V_pu is not None}
-    magnitude[list(held)] = list(held.values())
+    regulated_pu = {bus_index(case)[s.bus]: s.V_pu for s in case.svcs if s.V_pu is not None}
+    magnitude[list(regulated_pu)] = list(regulated_pu.values())
     start = magnitude * np.exp(1j * np.deg2rad(_start_angles(case)))
     free_angle = np.delete(np.arange(n), slack)
-    free_magnitude = np.setdiff1d(np.arange(n), [*machine_bus, *held])
+    free_magnitude = np.setdiff1d(np.arange(n), [*machine_bus, *regulated_pu])
     best, links = _repeated(case, Y, start, scheduled, free_angle, free_magnitude)
     if best is None or not best.converged:
         retained = (
@@ -266,8 +266,13 @@ def _solved(
     scheduled = np.zeros(len(V))
     np.add.at(scheduled, machine_bus, generation.real)
     generation[own] += at_bus[slack].real - scheduled[slack]
-    given = np.array([complex(c.P_mw, c.Q_mvar) / case.base_mva for c in case.converters], dtype=complex)
-    at_buses, inverters = np.concatenate([1j * _svc_q(case, at_bus.imag), given, ends[:, 0]]), ends[:, 1]
+    converter_power = np.array(
+        [complex(c.P_mw, c.Q_mvar) / case.base_mva for c in case.converters], dtype=complex
+    )
+    at_buses, inverters = (
+        np.concatenate([1j * _svc_q(case, at_bus.imag), converter_power, ends[:, 0]]),
+        ends[:, 1],
+    )
     for array in (V, injections, generation, at_buses, inverters):
         array.flags.writeable = False
     return PowerFlow(case, V, injections, generation, at_buses, inverters, best.iteration, best.mismatch_pu)

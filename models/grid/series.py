@@ -92,12 +92,12 @@ def without_series_nodes(case: Case) -> Case:
     if tie is not None:
         original = {far_half(name): name for name in lines}
         tie = tie.model_copy(update={"branches": tuple(original.get(n, n) for n in tie.branches)})
-    kept: dict[str, Any] = {
+    remaining: dict[str, Any] = {
         "buses": case.buses[: len(case.buses) - len(nodes)],
         "shunts": case.shunts[: len(case.shunts) - len(nodes)],
         "svcs": case.svcs[: len(case.svcs) - len(nodes)],
     }
-    return case.model_copy(update={**kept, "branches": branches, "tie": tie})
+    return case.model_copy(update={**remaining, "branches": branches, "tie": tie})
 
 
 def _whole(near: Branch, far: Branch, ground: complex) -> Branch:

@@ -118,15 +118,15 @@ def replaced(file: DyrFile, leave_out: Collection[str], models: Mapping[str, str
         raise CaseError(
             f"{file.path}: {sorted(gone & other.keys())[0]} is left out and replaced, allowed: one"
         )
-    kept = []
+    records = []
     for record in file.records:
         if record.model in gone:
             report.assume(f"{record.model} left out, as was asked", record.where)
         elif record.model in other:
-            kept.append(_as(record, other[record.model], report))
+            records.append(_as(record, other[record.model], report))
         else:
-            kept.append(record)
-    return dataclasses.replace(file, records=tuple(kept))
+            records.append(record)
+    return dataclasses.replace(file, records=tuple(records))
 
 
 def _as(record: DyrRecord, model: str, report: Report) -> DyrRecord:

@@ -396,8 +396,10 @@ class _Reader:
             return value
         if token not in self.names:
             if token[0].isalpha():
-                said = " ".join(self.whole.split())[:80]
-                raise CaseError(f"{self.where}: {said}: {token} is not known; {nearest(token, self.names)}")
+                statement = " ".join(self.whole.split())[:80]
+                raise CaseError(
+                    f"{self.where}: {statement}: {token} is not known; {nearest(token, self.names)}"
+                )
             raise self.no()
         return self.names[token]
 

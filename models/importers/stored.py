@@ -95,7 +95,7 @@ def solve_stored(grid: StaticGrid, slacks: Sequence[StaticBus], report: Report) 
     ------
     PowerFlowError : Newton's method converges neither from the stored voltages nor from a flat start.
     """
-    arrays, held, free_angle, free_magnitude = _prepared(grid, [bus.number for bus in slacks], report)
+    arrays, is_held, free_angle, free_magnitude = _prepared(grid, [bus.number for bus in slacks], report)
     stored_mva, stored_bus = _largest(arrays, free_angle, free_magnitude)
     start = arrays.start
     if _hold_set_points(grid, arrays, report):
@@ -104,14 +104,14 @@ def solve_stored(grid: StaticGrid, slacks: Sequence[StaticBus], report: Report) 
     if stored_mva > FAIR_MVA:
         where = grid.buses[stored_bus].where
         report.assume("stored voltages are no solution; the power flow is solved anew", where)
-    V = _newton(arrays, free_angle, free_magnitude, held)
+    V = _newton(arrays, free_angle, free_magnitude, is_held)
     moved_pu = float(np.max(np.abs(np.abs(V) - np.abs(start))))
     moved_deg = float(np.max(np.abs(np.degrees(np.angle(V / start)))))
     report.lines.append(
         f"power flow: voltages {np.abs(V).min():.4f} to {np.abs(V).max():.4f} pu, moved by at most "
         f"{moved_pu:.2g} pu and {moved_deg:.2g} deg from the stored ones"
     )
-    generation = _generation(grid, arrays, V, held)
+    generation = _generation(grid, arrays, V, is_held)
     change = sum(generation[k].real - grid.units[k].p for k in range(len(grid.units)))
     named = ", ".join(str(bus.number) for bus in slacks)
     which = f"slack bus {named}: takes" if len(slacks) == 1 else f"slack buses {named}: take"
@@ -187,11 +187,11 @@ def _prepared(
             report.assume("bus of type 2 or 3 without a unit in service taken as a load bus", bus.where)
     _free_reactive(grid)
     arrays = _Arrays(grid)
-    held = np.array([bus.kind != LOAD for bus in grid.buses.values()])
+    is_held = np.array([bus.kind != LOAD for bus in grid.buses.values()])
     fixed = [arrays.at[slack] for slack in slacks]
-    held[fixed] = True
-    free_angle = np.delete(np.arange(len(held)), fixed)
-    return arrays, held, free_angle, np.flatnonzero(~held)
+    is_held[fixed] = True
+    free_angle = np.delete(np.arange(len(is_held)), fixed)
+    return arrays, is_held, free_angle, np.flatnonzero(~is_held)
 
 
 def _largest(
@@ -267,11 +267,11 @@ def _newton(
 
 def _flat_angles(arrays: _Arrays, free_angle: npt.NDArray[np.int_]) -> npt.NDArray[np.float64]:
     """The angle of the slack of its island at each bus, (buses,) rad."""
-    held = set(range(len(arrays.numbers))) - set(free_angle.tolist())
+    fixed = set(range(len(arrays.numbers))) - set(free_angle.tolist())
     angles, stored = np.zeros(len(arrays.numbers)), np.angle(arrays.start)
     for island in live_islands(arrays.grid):
         rows = [arrays.at[bus] for bus in island]
-        angles[rows] = next(stored[k] for k in rows if k in held)
+        angles[rows] = next(stored[k] for k in rows if k in fixed)
     return angles
 
 

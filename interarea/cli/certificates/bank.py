@@ -48,17 +48,17 @@ def certify_bank(
         rows = judge_bank(table, bank, cache)
         worth = bank_worth(table, bank, cache, clearing=acceptance)
         margins = bank_margins(table, bank, cache)
-    tried = None
+    judged = None
     if acceptance and table.acceptance is not None:
         with stage_progress([CERTIFICATE_STEPS[-1]]) as report:
-            tried = judge_acceptance(
+            judged = judge_acceptance(
                 bank,
                 family_cases(table),
                 table.acceptance,
                 cache,
                 progress=lambda share: report(CERTIFICATE_STEPS[-1], share),
             )
-    faults = None if tried is None else tried.as_dict()
+    faults = None if judged is None else judged.as_dict()
     if out is not None:
         out.parent.mkdir(parents=True, exist_ok=True)
         judged_bank(table, bank, result, worth, margins, faults).save(out)
@@ -73,7 +73,7 @@ def certify_bank(
     unstable = [row for row in rows if not row.stable]
     for row in unstable:
         typer.echo(f"violated: {row.point}, {row.condition}: unstable", err=json_)
-    if unstable or (tried is not None and tried.violations):
+    if unstable or (judged is not None and judged.violations):
         raise typer.Exit(1)
 
 

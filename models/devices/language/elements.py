@@ -28,8 +28,8 @@ class Lag(Element):
         return on(self.states()[0].present) is not True
 
     def output(self, x: Values, values: Values, on: On) -> Any:
-        held = on(self.states()[0].present)
-        return self.clamped(x[self.line.name] if held else self.input(values), values)
+        present = on(self.states()[0].present)
+        return self.clamped(x[self.line.name] if present else self.input(values), values)
 
     def rates(self, x: Values, values: Values, on: On) -> dict[str, Any]:
         if not on(self.states()[0].present):
@@ -274,8 +274,8 @@ class Filter2(Element):
 
     def start(self, values: Values, on: On) -> dict[str, float]:
         first, second = self.states()
-        held = {first.name: evaluate(self.u, values)} if on(first.present) else {}
-        return held | ({second.name: 0.0} if on(second.present) else {})
+        outputs = {first.name: evaluate(self.u, values)} if on(first.present) else {}
+        return outputs | ({second.name: 0.0} if on(second.present) else {})
 
 
 class Plain(Element):
