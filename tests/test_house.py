@@ -32,7 +32,7 @@ ORDER = {
     ],
     "cosim": [
         *("plots", "master", "scenario", "results", "run", "export", "designs", "records", "explorer"),
-        *("sweep", "maps", "screen", "grid_study", "actuator_study", "study"),
+        *("sweep", "maps", "screen", "grid_study", "actuator_study", "inverter_study", "study"),
     ],
     "interarea": ["cli"],
 }

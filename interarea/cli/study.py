@@ -24,7 +24,10 @@ _FILES = (
 Minutes = Annotated[
     float | None,
     typer.Option(
-        "--minutes", metavar="MIN", min=0.1, help="of a grid: time (else 10, worth 30); the rest is left out"
+        "--minutes",
+        metavar="MIN",
+        min=0.1,
+        help="of a grid: time (else 10, worth 30, inverters 60); the rest is left out",
     ),
 ]
 OutFolder = Annotated[
@@ -48,7 +51,9 @@ def study(
     ] = True,
     grid: Annotated[
         list[str] | None,
-        typer.Option("--grid", metavar="GRID", help="of worth or actuators: a grid; of worth again for more"),
+        typer.Option(
+            "--grid", metavar="GRID", help="of worth, inverters or actuators: a grid; again for more"
+        ),
     ] = None,
     actuator: Annotated[
         list[str] | None,
@@ -70,6 +75,7 @@ def study(
 
     Of a grid: exit code 1 where no controller that holds what is asked came out; the page has the reason.
     The study `worth` says of named grids whether a wide-area signal pays: worth.html, worth.parquet.
+    The study `inverters` replaces 0 to 80 % of the machines' power by inverters: inverters.html.
     The study `actuators` says of one grid which kind of actuator damps it best: actuators.html.
     The study `wrong-signals` runs controllers with each kind of wrong signal: wrong_signals.html.
     """
@@ -80,8 +86,8 @@ def study(
     if name == "actuators":
         _study_actuators(out, dyr, minutes, grid or [], actuator or [], mva, json_=json_)
         return
-    if name == "worth":
-        _study_worth(out, dyr, minutes, grid or [], json_=json_)
+    if name in ("worth", "inverters"):
+        _study_several(name, out, dyr, minutes, grid or [], json_=json_)
         return
     if name == "wrong-signals":
         _refuse_options(name, {"--dyr": dyr, "--minutes": minutes})
@@ -96,10 +102,12 @@ def study(
     _run_study(name, out, second_solver=second_solver, json_=json_)
 
 
-def _study_worth(
-    out: Path, dyr: Path | None, minutes: float | None, grids: list[str], *, json_: bool
+def _study_several(
+    name: str, out: Path, dyr: Path | None, minutes: float | None, grids: list[str], *, json_: bool
 ) -> None:
-    from interarea.cosim.grid_study.link_study import FILES, GRIDS, MINUTES, stages, study_links
+    """Run the study `worth` or `inverters` of named grids."""
+    from interarea.cosim.grid_study import link_study
+    from interarea.cosim.inverter_study import study as inverter_study
     from interarea.fmu_build.write.cache import default_cache
     from interarea.models.errors import UserError
 
@@ -107,18 +115,24 @@ def _study_worth(
 
     if dyr is not None:
         raise UserError(
-            f"--dyr {dyr}: not with the study worth; import the grid first, then --grid CASE.toml"
+            f"--dyr {dyr}: not with the study {name}; import the grid first, then --grid CASE.toml"
         )
-    folder_for(out, files=FILES)
-    cases = {name: _named_grid(name) for name in grids or GRIDS}
-    minutes = minutes or MINUTES
-    named = "".join(f" --grid {name}" for name in grids)
-    command = f"interarea study worth{named} --out {out} --minutes {minutes:g}"
-    with stage_progress(stages(list(cases))) as report:
-        result = study_links(cases, out, default_cache(), minutes=minutes, command=command, report=report)
+    of = link_study if name == "worth" else inverter_study
+    run = link_study.study_links if name == "worth" else inverter_study.study_inverters
+    folder_for(out, files=of.FILES)
+    cases = {grid: _named_grid(grid) for grid in grids or of.GRIDS}
+    minutes = minutes or of.MINUTES
+    named = "".join(f" --grid {grid}" for grid in grids)
+    command = f"interarea study {name}{named} --out {out} --minutes {minutes:g}"
+    with stage_progress(of.stages(list(cases))) as report:
+        result = run(cases, out, default_cache(), minutes=minutes, command=command, report=report)
     conclusions = {one["grid"]: one["conclusion"] for one in result["grids"]}
-    lines = [f"{grid}: {conclusion}" for grid, conclusion in conclusions.items()]
-    _show_study({"study": "worth", "grids": conclusions}, out, FILES, lines, json_=json_)
+    lines = [
+        f"{grid}: {line}"
+        for grid, words in conclusions.items()
+        for line in ([words] if isinstance(words, str) else words)
+    ]
+    _show_study({"study": name, "grids": conclusions}, out, of.FILES, lines, json_=json_)
 
 
 def _study_actuators(
@@ -190,9 +204,10 @@ def _check_options(
     if name != "actuators" and (actuator or mva is not None):
         option = "--mva" if mva is not None else f"--actuator {(actuator or [''])[0]}"
         raise UserError(f"{option}: goes with the study actuators, not with {name}; leave it out")
-    if grid and name not in ("worth", "actuators"):
+    if grid and name not in ("worth", "inverters", "actuators"):
         raise UserError(
-            f"--grid {grid[0]}: goes with the study worth or actuators, not with {name}; name one grid alone"
+            f"--grid {grid[0]}: goes with the study worth, inverters or actuators, not with {name}; name one "
+            "grid alone"
         )
 
 

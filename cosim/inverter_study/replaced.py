@@ -1,0 +1,108 @@
+"""A grid with a share of every machine replaced by an inverter at its bus, the power flow unchanged.
+
+Every machine that gives active power keeps 1 - share of its rating, of its P and of its Q; an inverter at the
+same bus gives the rest. Grid-following: the package's `wecc_converter`. Grid-forming: REGFM_A1 with Vflag 0,
+mq = 0 and no limit reached, a voltage E behind Xe that turns by the droop of its filtered power,
+
+.. math:: \\dot\\delta = \\omega_b\\, m_p (P_{set} - P_f), \\qquad T\\,\\dot P_f = P - P_f ,
+
+which is to the last term the swing equation of a machine with constant EMF: with
+:math:`\\Delta\\omega = m_p (P_{set} - P_f)` follows
+:math:`(T/m_p)\\,\\Delta\\dot\\omega = P_{set} - P - \\Delta\\omega/m_p`, so 2H = T/mp and D = 1/mp
+[DArco2014]. It is put into the case as that machine.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from interarea.models.case.case import Case
+from interarea.models.case.schema import Machine
+from interarea.models.grid.powerflow import solve_powerflow
+
+FOLLOWING, FORMING = "grid-following", "grid-forming"
+KINDS = (FOLLOWING, FORMING)
+#: apparent power at rest over rating, at most; a smaller machine's inverter is rated above its machine's part
+LOADED = 0.9
+#: controls of a grid-following inverter: the plant control holds the voltage of its own bus by Q, which
+#: has priority. Times: the public PSS/E record RENA. Gains of the plant control: ours, those of that record
+#: (18, 5) swing at 7 Hz by themselves from half of the power on. Limits: wide enough for any dispatch
+FOLLOWS: Mapping[str, Any] = {
+    "kind": "wecc_converter",
+    "LVPLSW": 1.0,
+    "VFLAG": 1.0,
+    "QMAX": 0.9,
+    "QMIN": -0.9,
+    "VMAX": 1.2,
+    "VMIN": 0.8,
+    "Imax": 1.2,
+    "PLANT": 1.0,
+    "plant_REFFLAG": 1.0,
+    "plant_Tfltr": 0.02,
+    "plant_Kp": 2.0,
+    "plant_Ki": 5.0,
+    "plant_Tfv": 0.05,
+    "plant_Qmax": 0.9,
+    "plant_Qmin": -0.9,
+}
+#: droop (pu of speed by pu of power), its filter (s) and its reactance (pu) of a grid-forming inverter
+DROOP, FILTER_S, REACTANCE = 0.05, 0.01, 0.15
+_RATED = ("Trate",)  #: values of a governor in MVA
+
+
+def replaced(case: Case, kind: str, share: float) -> Case:
+    """Return `case` with a share of every machine's power given by inverters; with 0 the case itself.
+
+    kind : of `KINDS`. share : 0 to under 1.
+
+    Raises
+    ------
+    CaseError : no power flow, or a name `M_inverter` that the case has already.
+    """
+    if not share:
+        return case
+    flow = solve_powerflow(case)
+    machines: dict[str, dict[str, Any]] = {}
+    converters: dict[str, dict[str, Any]] = {}
+    for row, power in zip(case.machines, flow.generation * case.base_mva, strict=True):
+        if not power.real > 0.0 or row.model not in ("round_rotor", "classical"):
+            continue
+        machines[row.name] = _smaller(row, power, 1.0 - share)
+        inverter = {
+            "bus": row.bus,
+            "base_mva": max(share * row.base_mva, share * abs(power) / LOADED),
+            "P_mw": share * power.real,
+            "Q_mvar": share * power.imag,
+        }
+        if kind == FOLLOWING:
+            converters[f"{row.name}_inverter"] = inverter | {"control": dict(FOLLOWS)}
+        else:
+            machines[f"{row.name}_inverter"] = inverter | _forming(row)
+    change = {"machines": machines, "converters": converters}
+    return case.with_changes(change, name=f"{case.name}-{kind}-{round(100 * share)}")
+
+
+def _smaller(row: Machine, power: complex, left: float) -> dict[str, Any]:
+    """Return the changes of a machine of which so much is left; its values per unit stay as they are."""
+    change: dict[str, Any] = {
+        "base_mva": left * row.base_mva,
+        "P_mw": left * power.real,
+        "Q_mvar": left * power.imag,
+    }
+    rated = {key: left * getattr(row.governor, key) for key in _RATED if getattr(row.governor, key, 0.0)}
+    return change | ({"governor": rated} if rated else {})
+
+
+def _forming(row: Machine) -> dict[str, Any]:
+    """Return the machine that a grid-forming inverter is, apart from its power."""
+    return {
+        "area": row.area,
+        "model": "classical",
+        "H": FILTER_S / (2.0 * DROOP),
+        "D": 1.0 / DROOP,
+        "Xd1": REACTANCE,
+        "V_pu": row.V_pu,
+        "exciter": {"kind": "constant"},
+        "governor": {"kind": "none"},
+    }
