@@ -88,7 +88,7 @@ def test_the_study_goes_on_where_it_was_stopped(tmp_path: Path, monkeypatch: pyt
     [
         (
             ["wrong-signals", "--grid", "new-england"],
-            "goes with the study worth or actuators, not with wrong-signals",
+            "goes with the study worth, inverters or actuators, not with wrong-signals",
         ),
         (["wrong-signals", "--minutes", "3"], "--minutes: not with the study wrong-signals; leave it out"),
         (["worth", "--controller", "robust"], "--controller robust: goes with the study wrong-signals, not"),
