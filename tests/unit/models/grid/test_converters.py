@@ -9,8 +9,9 @@ from plant_shim import BlockFailure, BlockShim
 from interarea.cosim.explorer.wasm import page_sources
 from interarea.design.linear.sparse_plant import sparse_plant
 from interarea.fmu_build.write.device_slopes import DeviceSlopes
-from interarea.models.blocks.plant import plant_block
+from interarea.models.blocks.plant import event_parameters, plant_block
 from interarea.models.case.case import load_case
+from interarea.models.case.events import events_of
 from interarea.models.errors import CaseError
 from interarea.models.files import default_cache
 from interarea.models.grid.equilibrium import operating_point
@@ -77,6 +78,63 @@ def test_a_deadband_of_no_width_is_none_in_the_linear_model():
     at = {n: k for k, n in enumerate(by_voltage.state_names)}
     # iq' = (iqcmd - iq)/Tg, of which Kqv (Vref0 - vm)
     assert by_voltage.jacobians()[0][at["pv1.iq"], at["pv1.vm"]] < -2.0 / 0.02 + 15.0
+
+
+def _into_branches(case, bus, V):
+    """Return the current that leaves a bus over its branches, from the voltages of both their ends."""
+    current = 0j
+    for row in case.branches:
+        if bus in (row.from_bus, row.to_bus):
+            a, b = (
+                (V[row.from_bus], V[row.to_bus]) if row.from_bus == bus else (V[row.to_bus], V[row.from_bus])
+            )
+            current += (a - b) / complex(row.r, row.x) + 0.5j * row.b * a
+    return current
+
+
+@pytest.mark.parametrize("network", ["dense", "sparse"])
+def test_after_a_trip_its_current_is_zero_and_the_bus_balances(network):
+    """Kirchhoff's law at its bus, where nothing else is: the branches take what it gives, then nothing."""
+    case = with_converter("plant")
+    assert not any(row.bus == 8 for row in (*case.loads, *case.shunts, *case.machines))
+    events = events_of([{"kind": "device_trip", "device": "pv1", "start_s": 0.1}], where="test")
+    block = plant_block(case, network=network, more=["*"])
+    plant = BlockShim(block, event_parameters(case, events))
+    time_s, x, y = plant.run(0.3, 0.002)
+    at = {name: k for k, name in enumerate(plant.output_names)}
+    power = y[:, at["pv1.p"]] + 1j * y[:, at["pv1.q"]]
+    for k in (0, 20, len(time_s) - 1):
+        V = {
+            bus.number: complex(*(y[k, at[f"bus{bus.number}.{part}"]] for part in ("re", "im")))
+            for bus in case.buses
+        }
+        given = V[8] * np.conj(_into_branches(case, 8, V))
+        assert given == pytest.approx(power[k], abs=1e-10)
+    assert power[20] == pytest.approx(1.0 + 0.2j, abs=1e-9)
+    tripped = time_s > 0.101
+    assert np.all(power[tripped] == 0.0)
+    own = [k for k, name in enumerate(plant.state_names) if name.startswith("pv1.")]
+    assert np.array_equal(x[-1, own], x[np.flatnonzero(tripped)[0], own])
+
+
+def test_its_controls_hold_their_states_in_a_dip():
+    """Below plant_Vfrz the plant control stands, below Vdip the electrical one, to the last bit."""
+    more = {"plant_Kp": 1.0, "plant_Vfrz": 0.9, "Vdip": 0.9, "QFLAG": 1, "VFLAG": 1}
+    case = with_converter("remote", **more)
+    dip = {"kind": "bus_fault", "bus": 8, "start_s": 0.1, "end_s": 0.2, "x_pu": 0.05}
+    plant = BlockShim(
+        plant_block(case, more=["bus8.v"]), event_parameters(case, events_of([dip], where="test"))
+    )
+    time_s, x, y = plant.run(0.6, 0.001)
+    low = y[:, plant.output_names.index("bus8.v")] < 0.9
+    held = np.flatnonzero(low & (time_s > 0.1005) & (time_s < 0.1995))
+    assert len(held) > 90
+    at = {name: k for k, name in enumerate(plant.state_names)}
+    for name in ("rpi", "vq", "iqpi"):
+        course = x[:, at[f"pv1.{name}"]]
+        assert np.all(course[held] == course[held[0]])
+        assert np.ptp(course[time_s > 0.25]) > 1e-7
+    assert np.ptp(x[held, at["pv1.rv"]]) > 0.01  # the measurement does not stand
 
 
 @pytest.mark.parametrize(
