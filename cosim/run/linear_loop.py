@@ -44,6 +44,7 @@ _LASTING = {
     "branch_reclose",
     "machine_trip",
     "device_trip",
+    "hvdc_block",
     "shunt_switch",
     "frequency_shed",
     "frequency_trip",

@@ -377,7 +377,7 @@ _ACTS_ON = {
     "machine": ("machines", "vref_pulse, pm_pulse, machine_trip, frequency_trip"),
     "load": ("loads", "load_step, frequency_shed"),
     "shunt": ("shunts", "shunt_switch"),
-    "device": ("at_buses", "device_trip"),
+    "device": ("at_buses", "device_trip, hvdc_block"),
 }
 
 

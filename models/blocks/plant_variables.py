@@ -24,6 +24,7 @@ EVENT_CODES = {
     "frequency_shed": 9,
     "frequency_trip": 10,
     "device_trip": 11,
+    "hvdc_block": 12,
 }
 WAVE_CODES = {"steady": 0, "sine": 1, "square": 2, "noise": 3}
 _WAVE_WORDS = {
@@ -45,6 +46,7 @@ _EVENT_WORDS = {
     "frequency_shed": "a frequency relay adds size + j size_q (below 0) to a load, in use from start to end",
     "frequency_trip": "a frequency relay disconnects a machine, in use from start to end",
     "device_trip": "SVC, STATCOM or dc link disconnected, series capacitor bypassed at start",
+    "hvdc_block": "dc link blocked from start to end: no current, its control stands still",
 }
 #: names of states that derivatives list altogether; beyond, those that see the network list nothing, which in
 #: FMI says that they may depend on everything

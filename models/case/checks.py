@@ -261,14 +261,23 @@ def target_index(case: CaseTables, event: Any) -> int:
         dict.fromkeys(row.name for row in rows)
     )  # in the plant a series capacitor is among the SVCs too
     name = getattr(event, table)
-    if name not in names:
-        raise CaseError(f"{case.name}: {kind}: {table} {name!r} does not exist; {nearest(name, names)}")
+    _require_target(case, kind, table, name, names)
     if event.kind.startswith("vref") and _excitation(case.machines[names.index(name)]) == "constant":
         raise CaseError(
             f"{case.name}: {kind}: machine {name!r} has constant excitation, so no voltage set-point, "
             "allowed: a machine whose exciter regulates"
         )
     return names.index(name)
+
+
+def _require_target(case: CaseTables, kind: str, table: str, name: str, names: list[str]) -> None:
+    fit = [row.name for row in case.hvdcs] if kind == "hvdc_block" else names
+    if name in fit:
+        return
+    if name in names:
+        allowed = ", ".join(fit) or "none in this case"
+        raise CaseError(f"{case.name}: {kind}: {table} {name!r} is no dc link, allowed: {allowed}")
+    raise CaseError(f"{case.name}: {kind}: {table} {name!r} does not exist; {nearest(name, fit)}")
 
 
 def _excitation(machine: Any) -> Any:

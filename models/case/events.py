@@ -273,6 +273,16 @@ class DeviceTrip(_Event):
     device: Target  #: name of the SVC, STATCOM, series capacitor, converter or dc link
 
 
+class HvdcBlock(_Lasting):
+    """A dc link is blocked at `start_s`; with `end_s` it starts again then, its control as it was.
+
+    Both converters carry no current, filters stay; the dc current dies away within 10 ms.
+    """
+
+    kind: Literal["hvdc_block"] = "hvdc_block"
+    device: Target  #: name of the dc link
+
+
 class ShuntSwitch(_Lasting):
     """`shunt` is switched out (`to = "out"`) or in at `start_s`, and back at `end_s` when that is given."""
 
@@ -328,6 +338,7 @@ Event = Annotated[
     | LoadNoise
     | MachineTrip
     | DeviceTrip
+    | HvdcBlock
     | ShuntSwitch
     | FrequencyShed
     | FrequencyTrip,
@@ -347,6 +358,7 @@ EVENT_KINDS = (
     "load_noise",
     "machine_trip",
     "device_trip",
+    "hvdc_block",
     "shunt_switch",
     "frequency_shed",
     "frequency_trip",

@@ -52,6 +52,13 @@ class Hvdc(Row):
     t_voltage_s: NonNegative = 0.02  #: measurement of the dc voltage
     t_order_s: Positive = 0.02  #: time constant of the current order
 
+    vdcol_i_pu: Positive | None = (
+        None  #: largest current order at low dc voltage (VDCOL); None: no such limit
+    )
+    vdcol_low_pu: NonNegative = 0.3  #: dc voltage of the rectifier at and below which that holds
+    vdcol_high_pu: Positive = 0.8  #: from which on `i_max_pu` alone limits; between them a straight line
+    t_vdcol_s: NonNegative = 0.05  #: measurement of that voltage
+
     @model_validator(mode="after")
     def _one_order(self) -> Self:
         if (self.idc_ka is None) == (self.P_mw is None):
@@ -63,9 +70,11 @@ class Hvdc(Row):
             ("alpha_min_deg", "alpha_max_deg"),
             ("gamma_min_deg", "gamma_max_deg"),
             ("i_min_pu", "i_max_pu"),
+            ("vdcol_low_pu", "vdcol_high_pu"),
+            ("vdcol_i_pu", "i_max_pu"),
         ):
             a, b = getattr(self, low), getattr(self, high)
-            if not a < b:
+            if a is not None and not a < b:
                 raise ValueError(f"{low} = {a:g} with {high} = {b:g}, allowed: {low} < {high}")
         if not self.gamma_deg >= self.gamma_min_deg:
             raise ValueError(
@@ -116,6 +125,11 @@ class Hvdc(Row):
             "TV": self.t_voltage_s,
             "TI": self.t_order_s,
             "VMIN": self.v_min_pu,
+            "VDCOL": float(self.vdcol_i_pu is not None),
+            "TVL": self.t_vdcol_s if self.vdcol_i_pu is not None else 0.0,
+            "VLOW": self.vdcol_low_pu,
+            "VHIGH": self.vdcol_high_pu,
+            "ILOW": self.vdcol_i_pu or 0.3 * self.i_max_pu,
             "PMOD": self.p_mod_pu,
             "IMIN": self.i_min_pu,
             "IMAX": self.i_max_pu,

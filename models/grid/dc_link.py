@@ -110,6 +110,11 @@ def require_link(case: Case, row: Hvdc, point: LinkPoint, u_rectifier: float) ->
             f"{where}: its current at rest is {point.idc:.6g} pu, {key} = {getattr(row, key):g}, allowed: "
             f"within its limits; set {key}, or idc_ka or P_mw"
         )
+    if row.vdcol_i_pu is not None and not point.vdr > row.vdcol_high_pu:
+        raise CaseError(
+            f"{where}: its dc voltage at rest is {point.vdr:.6g} pu, vdcol_high_pu = {row.vdcol_high_pu:g}, "
+            "allowed: above it, or the order would rest on its limit; set a lower vdcol_high_pu"
+        )
     if not point.vdi > 0.0:
         raise CaseError(
             f"{where}: the inverter's dc voltage is {point.vdi:.3g} pu at rest, allowed: above 0; set "

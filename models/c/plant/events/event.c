@@ -16,7 +16,7 @@ static const char *kind_name(int kind)
     static const char *const names[EVENT_KINDS] = {
         "none", "bus_fault", "branch_trip", "branch_reclose", "vref_pulse",
         "load_step", "pm_pulse", "machine_trip", "shunt_switch", "frequency_shed", "frequency_trip",
-        "device_trip"
+        "device_trip", "hvdc_block"
     };
     return kind >= 0 && kind < (int)EVENT_KINDS ? names[kind] : "unknown";
 }
@@ -30,7 +30,8 @@ static size_t target_count(const Plan *plan, const Network *net, int kind)
     case EVENT_LOAD_STEP:
     case EVENT_FREQUENCY_SHED: return plan->n_load;
     case EVENT_SHUNT_SWITCH: return net->n_item;
-    case EVENT_DEVICE_TRIP: return plan->n_at_bus;
+    case EVENT_DEVICE_TRIP:
+    case EVENT_HVDC_BLOCK: return plan->n_at_bus;
     default: return plan->n_machine;
     }
 }
@@ -247,6 +248,11 @@ static void apply_slot(const Plan *plan, const Network *net, const double *p, co
     case EVENT_FREQUENCY_TRIP:
     case EVENT_MACHINE_TRIP: memory[plan->running + target] = 0.0; break;
     case EVENT_DEVICE_TRIP: memory[plan->running + plan->n_machine + target] = 0.0; break;
+    case EVENT_HVDC_BLOCK: {   /* a trip beside it prevails */
+        double *running = memory + plan->running + plan->n_machine + target;
+        if (*running > RUNNING_BLOCKED) *running = RUNNING_BLOCKED;
+        break;
+    }
     default: break;
     }
 }

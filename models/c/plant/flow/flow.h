@@ -228,13 +228,26 @@ static size_t solve_network(real *memory, const Plan *plan, const Pattern *patte
     return 0;
 }
 
+/* The currents of blocked dc links die away. */
+static void end_blocked(const real *memory, const Plan *plan, const num *x, num *dx)
+{
+    for (size_t k = 0; k < plan->n_port; ++k) {
+        const real *row = memory + plan->port + P_ROWS * k;
+        if (index_at(row, P_KIND) != PORT_DEVICE || index_at(row, P_COUPLING) != COUPLING_RECTIFIER) continue;
+        const size_t at = index_at(row, P_STATE);
+        const num running = NUM(row[P_ON]), ends = num_pick(num_above(NUM(0.5), running), -x[at] / DC_BLOCK_S, dx[at]);
+        dx[at] = num_pick(num_above(running, NUM(0.0)), ends, dx[at]);
+    }
+}
+
 /* A tripped machine or device at a bus and its controls stand still where they were: they no longer count. */
-static void hold_tripped(const real *memory, const Plan *plan, num *dx)
+static void hold_tripped(const real *memory, const Plan *plan, const num *x, num *dx)
 {
     for (size_t k = 0; k < plan->n_state; ++k) {
         const real running = memory[plan->running + index_at(memory + plan->state_machine, k)];
         dx[k] = num_pick(num_above(NUM(running), NUM(0.5)), dx[k], NUM(0.0));
     }
+    end_blocked(memory, plan, x, dx);
 }
 
 #ifdef PLANT_HELD
@@ -309,7 +322,7 @@ static void solve_rates(const real *memory, const Plan *plan, const num *x, cons
     TILED(machine_derivatives, w->lanes, sixth, &machines, rates, 0, sixth);
     TILED(machine_derivatives, w->lanes, n - sixth, &machines, rates, sixth, n);
     if (plan->n_port > 0) saturate_rates(memory, plan, w, dx);
-    if (flag_any(num_above(NUM(memory[H_TRIPPED]), NUM(0.0)))) hold_tripped(memory, plan, dx);
+    if (flag_any(num_above(NUM(memory[H_TRIPPED]), NUM(0.0)))) hold_tripped(memory, plan, x, dx);
 }
 
 size_t NAME(plant_flow)(real *memory, const int32_t *places, size_t lanes, const num *x, const num *u, num *dx,

@@ -20,6 +20,9 @@
  * within P_ANGLE_MIN .. P_ANGLE_MAX; a_i, i and order are states. w holds a: Newton's method from the least angle there,
  * where a + b (1 - cos(a)) rises, b = g c u/vref, and the limits act on its solution. */
 
+/* A link that is blocked carries no current at its ends, its control stands still, and its dc current dies away with
+ * DC_BLOCK_S, the time in which a rectifier beyond 90 deg takes it down. */
+static const double DC_BLOCK_S = 0.01;
 static const double DC_COSINE_MIN = -0.99, DC_COSINE_MAX = 0.9999;
 enum { DC_STEPS = 6 };   /* of Newton's method; with b up to 1 the fifth is below rounding */
 

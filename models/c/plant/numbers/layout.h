@@ -90,6 +90,8 @@ enum {  /* the same rows at a machine's port */
     P_SLOPE,            /* incremental: Bsat psi_I there                */
     P_SALIENCY          /* 1/(Xd2 - Xl) - 1/(Xq2 - Xl)                  */
 };
+/* Of a place: 1 it runs, 0 it is tripped, between them a dc link that is blocked. */
+#define RUNNING_BLOCKED 0.25
 typedef enum { PORT_LOAD = 1, PORT_MACHINE, PORT_DEVICE, PORT_KINDS } PortKind;
 typedef enum { COUPLING_NONE, COUPLING_SUSCEPTANCE, COUPLING_CURRENT, COUPLING_CONVERTER, COUPLING_RECTIFIER,
                COUPLING_INVERTER, COUPLING_KINDS } CouplingKind;

@@ -22,6 +22,7 @@ GOOD = [
     {"kind": "frequency_shed", "load": "L9", "size_pu": 0.1, "threshold_hz": 59.3},
     {"kind": "frequency_trip", "machine": "G3", "threshold_hz": 61.5, "delay_s": 0.2},
     {"kind": "device_trip", "device": "svc1", "start_s": 1.0},
+    {"kind": "hvdc_block", "device": "hvdc1", "start_s": 1.0, "end_s": 1.2},
     {"kind": "oscillation", "on": "voltage_reference", "machine": "G2", "size_pu": 0.01, "frequency_hz": 0.5,
      "start_s": 1.0, "harmonics": [0.1]},
     {"kind": "oscillation", "on": "load", "bus": 9, "p_pu": 0.2, "frequency_hz": 0.5, "start_s": 1.0},
@@ -32,10 +33,14 @@ GOOD = [
 
 def test_every_kind_has_its_target() -> None:
     svc = {"bus": 8, "base_mva": 100.0, "control": {"kind": "svc"}}
-    case = load_case("two-area-thesis").with_changes({"svcs": {"svc1": svc}})
+    link = {"rectifier_bus": 7, "inverter_bus": 9, "base_mva": 200.0, "vdc_kv": 250.0, "idc_ka": 0.4}
+    link |= {"gamma_deg": 20.0, "rectifier_kv": 112.0, "inverter_kv": 107.0, "r_ohm": 10.0, "l_mh": 800.0}
+    link |= {"rectifier_xc_ohm": 6.0, "inverter_xc_ohm": 5.0}
+    change = {"svcs": {"svc1": svc}, "hvdcs": {"hvdc1": link}}
+    case = load_case("two-area-thesis").with_changes(change)
     events = events_of(GOOD, where="here")
     assert {e.kind for e in events} == set(EVENT_KINDS)
-    assert [target_index(case, e) for e in events] == [7, 8, 8, 0, 1, 2, 3, 1, 1, 1, 1, 2, 0, 1, 1, 1, -1]
+    assert [target_index(case, e) for e in events] == [7, 8, 8, 0, 1, 2, 3, 1, 1, 1, 1, 2, 0, 1, 1, 1, 1, -1]
     check_events(case, events)
 
 

@@ -131,6 +131,67 @@ def test_a_trip_takes_both_ends_out(network):
         assert column[-1] == 0.0
 
 
+@pytest.mark.parametrize("network", ["dense", "sparse"])
+def test_a_blocked_link_carries_nothing_and_starts_again(network):
+    """Its dc current dies away with 10 ms, its control stands still; afterwards the current is as ordered."""
+    case = with_link()
+    block = [{"kind": "hvdc_block", "device": "hvdc1", "start_s": 0.1, "end_s": 0.3}]
+    events = event_parameters(case, events_of(block, where="test"))
+    plant = BlockShim(plant_block(case, more=["hvdc1.*"], network=network), events)
+    t, x, y = plant.run(3.0, 0.002)
+    k = {name: plant.state_names.index(f"hvdc1.{name}") for name in ("idc", "iord", "xr", "xi", "vm")}
+    during = (t > 0.1 + 1e-9) & (t < 0.3 - 1e-9)
+    for name in ENDS:
+        column = y[:, plant.output_names.index(f"hvdc1.{name}")]
+        assert np.all(column[during] == 0.0) and abs(column[0]) > 0.1
+        assert abs(column[-1] - column[0]) < 0.05 * abs(column[0])
+    rest = plant.x
+    assert np.max(np.abs(x[during, k["idc"]] - rest[k["idc"]] * np.exp(-(t[during] - 0.1) / 0.01))) < 1e-4
+    for name in ("iord", "xr", "xi", "vm"):
+        assert np.ptp(x[during, k[name]]) == 0.0
+    assert x[-1, k["idc"]] == pytest.approx(rest[k["idc"]], abs=5e-3)
+
+
+def test_a_low_dc_voltage_limits_the_order():
+    """The voltage-dependent limit in a long dip at the inverter: the order is on its line."""
+    row = {"vdcol_i_pu": 0.15, "vdcol_low_pu": 0.85, "vdcol_high_pu": 0.95, "margin_gain": 0.0}
+    dip = events_of(
+        [{"kind": "bus_fault", "bus": 9, "start_s": 0.1, "end_s": 0.9, "x_pu": 0.02}], where="test"
+    )
+    ends = []
+    for case in (with_link(**row), with_link(margin_gain=0.0)):
+        plant = BlockShim(plant_block(case), event_parameters(case, dip))
+        t, x, _ = plant.run(0.9, 0.002)
+        at = {name: x[:, k] for k, name in enumerate(plant.state_names)}
+        last = np.searchsorted(t, 0.9 - 1e-9) - 1
+        ends.append((at["hvdc1.iord"][last], at["hvdc1.iord"][0]))
+        if case.hvdcs[0].vdcol_i_pu is not None:
+            volts = at["hvdc1.vl"][last]
+            assert volts < 0.9
+            line = np.clip(0.15 + (1.2 - 0.15) * (volts - 0.85) / (0.95 - 0.85), 0.15, 1.2)
+            assert at["hvdc1.iord"][last] == pytest.approx(min(line, at["hvdc1.iord"][0]), abs=0.02)
+        else:
+            assert "hvdc1.vl" not in at
+    (limited, rest), (other, _) = ends
+    assert limited < rest - 0.1 and other == pytest.approx(rest, abs=1e-9)
+
+
+@pytest.mark.slow
+def test_after_a_fault_it_settles_and_does_not_drift():
+    """two-area-hvdc, three minutes after a fault beside the inverter: at rest again, current as ordered."""
+    case = load_case("two-area-hvdc")
+    fault = [{"kind": "bus_fault", "bus": 14, "start_s": 1.0, "end_s": 1.1, "x_pu": 0.02}]
+    events = event_parameters(case, events_of(fault, where="test"))
+    plant = BlockShim(plant_block(case, more=["hvdc1.*"]), events)
+    t, x, y = plant.run(180.0, 0.005)
+    own = [k for k, name in enumerate(plant.output_names) if name.startswith("hvdc1.")]
+    assert np.max(np.abs(y[:, own] - y[0, own])) > 0.1
+    assert np.max(np.abs(y[-1, own] - y[0, own])) < 1e-4
+    swinging = [k for k, name in enumerate(plant.state_names) if not name.endswith(".delta")]
+    late = x[t > 150.0][:, swinging]
+    assert np.max(np.ptp(late, axis=0)) < 1e-3
+
+
 def test_the_inverter_takes_the_current_over_where_the_rectifier_is_at_its_least_angle():
     """A dip at the rectifier: its angle is at the limit, and the current does not fall to nothing."""
     case = with_link(margin_gain=20.0, inverter_integral=5.0)
@@ -181,6 +242,10 @@ def test_the_sparse_blocks_have_its_state_matrix(base):
         ),
         ({"inverter_bus": 7}, "rectifier_bus = inverter_bus = 7, allowed: two buses"),
         ({"gamma_deg": 12.0}, "gamma_deg = 12 is below gamma_min_deg = 15: the inverter would not commutate"),
+        (
+            {"vdcol_i_pu": 1.3},
+            "vdcol_i_pu = 1.3 with i_max_pu = 1.2, allowed: vdcol_i_pu < i_max_pu",
+        ),
         ({"P_mw": 100.0}, "both of idc_ka and P_mw, allowed: one"),
         ({"idc_ka": "none"}, "neither of idc_ka and P_mw, allowed: one"),
         (
@@ -202,6 +267,10 @@ def test_a_row_that_is_wrong_is_refused_with_the_remedy(row, says):
         (
             {"idc_ka": 1.0},
             "current at rest is 1.25 pu, i_max_pu = 1.2, allowed: within its limits; set i_max_pu",
+        ),
+        (
+            {"vdcol_i_pu": 0.4, "vdcol_high_pu": 1.5},
+            "vdcol_high_pu = 1.5, allowed: above it, or the order would rest on its limit; set a lower vdcol",
         ),
         ({"rectifier_kv": 100.0}, "no delay angle gives the dc voltage"),
         ({"rectifier_kv": 104.0, "alpha_min_deg": 15.0}, "deg, beyond alpha_min_deg = 15, allowed"),
