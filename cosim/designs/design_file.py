@@ -439,8 +439,8 @@ def specification_of(controller: Controller | ControllerBank) -> DesignTable | N
     Raises ScenarioError where the record is there and is no design.
     """
     specification = controller.design.get("specification")
-    old = isinstance(specification, Mapping) and {"conditions", "point"}.isdisjoint(specification)
-    if specification is None or old:
+    one_point = isinstance(specification, Mapping) and {"conditions", "point"}.isdisjoint(specification)
+    if specification is None or one_point:
         return None
     try:
         return DesignTable.model_validate(specification)
