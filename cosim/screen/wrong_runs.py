@@ -18,6 +18,7 @@ from ..scenario.signal_faults import SWAP
 
 Judged: TypeAlias = Controller | ControllerBank
 START_S, WRONG_S, STOP_S = 1.0, 1.5, 20.0  #: disturbance; the signal is wrong from then on; end of the run
+LONG_S = 60.0  #: end of a run that has not settled by `STOP_S`, and of those without control
 INTERVAL_S = 0.02  #: between packets
 REMOTE_S, WITNESS_S = 0.1, 0.05  #: latency; a signal of an actuator's own machine comes at once
 REST, PULSE, FAULT, TRIP = DISTURBANCES = ("rest", "pulse", "bus fault", "tie trip")

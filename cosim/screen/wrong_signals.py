@@ -8,7 +8,7 @@ does better.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from itertools import product
 from pathlib import Path
 from statistics import median
@@ -23,10 +23,10 @@ from interarea.models.case.variants import operating_variant
 from ..designs.acceptance import FaultPlace
 from ..designs.family import FamilyPlant
 from ..designs.fault_runs import TOGETHER, FaultRuns, Outcome
-from ..results.verdict import LOST, STABLE
+from ..results.verdict import LOST, SETTLED, STABLE
 from ..scenario.signal_faults import SWAP, wrong_kinds
 from ..trajectory import Trajectory
-from .wrong_runs import WRONG_S, Judged, Signals, WrongRun, disturbances_of, signals_of
+from .wrong_runs import LONG_S, STOP_S, WRONG_S, Judged, Signals, WrongRun, disturbances_of, signals_of
 
 RIGHT = "nothing wrong"
 NAMED_SHARE = 0.99  #: of the isolations, of the right signal
@@ -34,7 +34,7 @@ NAMED_SHARE = 0.99  #: of the isolations, of the right signal
 
 @dataclass(frozen=True)
 class WrongRow:
-    """One run. verdict : its first words; left_mhz : span of what decides it in the last window.
+    """One run to `stop_s`. verdict : its first words; left_mhz : span of what decides it in the last window.
 
     detected_s : from when the signal is wrong to its isolation; None: never. others : isolated though right.
     without : verdict of the grid without control after the same disturbance.
@@ -51,6 +51,7 @@ class WrongRow:
     detected_s: float | None
     others: tuple[str, ...]
     without: str
+    stop_s: float = STOP_S
 
     @property
     def stable(self) -> bool:
@@ -193,6 +194,8 @@ def certify_wrong_signals(
 ) -> WrongCertificate:
     """Return what each kind of wrong signal does to a loop.
 
+    A run that has not settled by `STOP_S`, and kept synchronism until then, is judged at `LONG_S`.
+
     place : of the fault, and of the trip. detector : table of a scenario; default: its tests that need no
     design. compared : signals of the detector's file. kinds, disturbances : names of those to run; default
     all. points : operating point -> case; default `points_of`.
@@ -214,21 +217,39 @@ def certify_wrong_signals(
         jobs = list(_jobs(case, controller, signals, table, chosen, events, disturbances))
         with FaultRuns(grid, cache) as runs:
             alone = {
-                d: WrongRun(case.name, None, {}, events[d]) for d in dict.fromkeys(j[0][1] for j in jobs)
+                d: WrongRun(case.name, None, {}, events[d], stop_s=LONG_S)
+                for d in dict.fromkeys(j[0][1] for j in jobs)
             }
             bare = dict(zip(alone, runs.outcomes(list(alone.values()), [None] * len(alone)), strict=True))
             # lanes step together runs of the same structure
             for first in range(0, len(jobs), TOGETHER):
                 part = jobs[first : first + TOGETHER]
-                outcomes = runs.judged([run for _, run in part], [None] * len(part))
-                for ((kind, d, signal), run), (outcome, data) in zip(part, outcomes, strict=True):
+                ended: dict[int, WrongRow] = {}
+                for k, run, outcome, data in _to_the_end(runs, [run for _, run in part]):
+                    kind, d, signal = part[k][0]
                     names = (kind, signal, d, point)
-                    rows.append(_row(names, run, outcome, data, bare[d], case.frequency_hz))
+                    ended[k] = _row(names, run, outcome, data, bare[d], case.frequency_hz)
+                rows += [ended[k] for k in range(len(part))]
                 progress((number + (first + len(part)) / len(jobs)) / len(grids))
     out = tuple(_with_signal_out(grids, controller, signals, cache))
     return WrongCertificate(
         controller.name, case.name, signals.latency_s_of, tuple(signals.witnesses), table, tuple(rows), out
     )
+
+
+def _to_the_end(
+    runs: FaultRuns, part: Sequence[WrongRun]
+) -> Iterator[tuple[int, WrongRun, Outcome, Trajectory]]:
+    """Yield place, run, what it came to and showed; one that has not settled is run again, to `LONG_S`."""
+    again: dict[int, WrongRun] = {}
+    for k, (outcome, data) in enumerate(runs.judged(part, [None] * len(part))):
+        if outcome.verdict is None or outcome.verdict.name in (SETTLED, LOST):
+            yield k, part[k], outcome, data
+        else:
+            again[k] = replace(part[k], stop_s=LONG_S)
+    longer = runs.judged(list(again.values()), [None] * len(again))
+    for (k, run), (outcome, data) in zip(again.items(), longer, strict=True):
+        yield k, run, outcome, data
 
 
 def _jobs(
@@ -276,7 +297,9 @@ def _row(
     verdict, why, left = (LOST, "the run ended early", 0.0) if v is None else (v.name, v.why, v.last)
     without = LOST if bare.verdict is None else bare.verdict.name
     return WrongRow(
-        *names, run.detector is not None, verdict, why, 1e3 * rated_hz * left, right, tuple(isolated), without
+        *(*names, run.detector is not None, verdict, why, 1e3 * rated_hz * left, right, tuple(isolated)),
+        without,
+        run.stop_s,
     )
 
 

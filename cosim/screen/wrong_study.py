@@ -21,7 +21,7 @@ from ..designs.acceptance import FaultPlace
 from ..plots.html import page_environment
 from ..results.verdict import LOST
 from .detector_design import design_detector
-from .wrong_runs import INTERVAL_S, START_S, STOP_S, WRONG_S, Judged, signals_of
+from .wrong_runs import INTERVAL_S, LONG_S, START_S, STOP_S, WRONG_S, Judged, signals_of
 from .wrong_signals import HEADER, RIGHT, WrongRow, certify_wrong_signals
 
 #: by default: the default controller, the bank, one of the printed ones, and those of larger sets of signals
@@ -72,7 +72,7 @@ def study_wrong_signals(
             "title": "What a wrong signal does, with and without a detector",
             "command": command,
             "controllers": done,
-            "times_s": {"disturbance": START_S, "wrong_from": WRONG_S, "stop": STOP_S},
+            "times_s": {"disturbance": START_S, "wrong_from": WRONG_S, "stop": STOP_S, "long": LONG_S},
             "versions": {"interarea": version("interarea")},
         }
         _write(study, out)
@@ -136,7 +136,7 @@ def _certificate(
         json.dumps(subject.controller.as_dict(), sort_keys=True),
         subject.case.hash,
         str(subject.place),
-        json.dumps(asked),
+        json.dumps([*asked, STOP_S, LONG_S]),
     ]
     if detector is not None:
         compared = load_detector(detector).signals

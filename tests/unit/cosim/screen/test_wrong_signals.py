@@ -14,7 +14,7 @@ from interarea.cli.certificates.wrong_signals import check_wrong_options
 from interarea.cosim.designs.acceptance import FaultPlace
 from interarea.cosim.designs.design_file import load_design
 from interarea.cosim.errors import ScenarioError
-from interarea.cosim.results.verdict import GROWING, LOST, STANDING
+from interarea.cosim.results.verdict import GROWING, LOST, SETTLED, STANDING
 from interarea.cosim.scenario.scenario import load_scenario
 from interarea.cosim.scenario.signal_faults import SWAP, wrong_kinds
 from interarea.cosim.screen.wrong_runs import WrongRun, disturbances_of, fault_place, signals_of
@@ -91,6 +91,9 @@ def test_a_loop_with_the_wrong_sign_fails_and_one_that_hardly_acts_passes() -> N
     assert not inverted.passed
     assert any(line.startswith(RIGHT) for line in inverted.violations)
     plain = certified(robust, **asked)
+    # a swing is not called standing, growing or slow by what it does until 20 s
+    assert {r.stop_s for r in plain.rows if r.verdict not in (SETTLED, LOST)} == {60.0}
+    assert {r.stop_s for r in plain.rows if r.kind == RIGHT} == {20.0}
     assert [line for line in plain.violations if "G4_dw, polarity" in line]
     weak = certified(robust.scaled(0.02), **asked)
     assert weak.passed, weak.violations
