@@ -22,7 +22,8 @@ from .replaced import KINDS
 def write_inverter_page(study: Mapping[str, Any], path: Path) -> Path:
     """Write the page of what `study` holds so far."""
     environment = page_environment(Path(__file__).parent)
-    environment.filters |= {"plain": plain, "ratio": ratio, "sentence": sentence}
+    environment.filters |= {"plain": plain, "ratio": ratio}
+    environment.filters["sentence"] = sentence
     figures = {
         grid["grid"]: page_figure(_figure(grid), f"inverters-{k}", f"Inverters by share, {grid['grid']}")
         for k, grid in enumerate(study["grids"])
