@@ -52,9 +52,7 @@ class Hvdc(Row):
     t_voltage_s: NonNegative = 0.02  #: measurement of the dc voltage
     t_order_s: Positive = 0.02  #: time constant of the current order
 
-    vdcol_i_pu: Positive | None = (
-        None  #: largest current order at low dc voltage (VDCOL); None: no such limit
-    )
+    vdcol_i_pu: Positive | None = None  #: largest current order at low dc voltage; None: no such limit
     vdcol_low_pu: NonNegative = 0.3  #: dc voltage of the rectifier at and below which that holds
     vdcol_high_pu: Positive = 0.8  #: from which on `i_max_pu` alone limits; between them a straight line
     t_vdcol_s: NonNegative = 0.05  #: measurement of that voltage
