@@ -6,7 +6,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from ..case.case import Case
-from ..case.hvdc_schema import Hvdc
 from ..case.schema import Branch
 
 
@@ -56,7 +55,8 @@ def losses_of_network(case: Case, *, links: bool = False) -> list[str]:
 def _devices(case: Case, *, links: bool) -> list[str]:
     """What is lost of devices at buses."""
     losses = []
-    others = [d.name for d in case.at_buses if not (links and isinstance(d, Hvdc))]
+    written = {d.name for d in case.hvdcs} if links else set()
+    others = [d.name for d in case.at_buses if d.name not in written]
     if others:
         what = "SVCs, STATCOMs and converters" if links else "SVCs, STATCOMs, converters and dc links"
         losses.append(f"{what} with their power ({named(others)})")
