@@ -26,8 +26,8 @@ KINDS = (FOLLOWING, FORMING)
 #: apparent power at rest over rating, at most; a smaller machine's inverter is rated above its machine's part
 LOADED = 0.9
 #: controls of a grid-following inverter: the plant control holds the voltage of its own bus by Q, which
-#: has priority. Times: the public PSS/E record RENA. Gains of the plant control: ours, those of that record
-#: (18, 5) swing at 7 Hz by themselves from half of the power on. Limits: wide enough for any dispatch
+#: has priority. Times: the public PSS/E record RENA. Gains of the plant control: ours, for those of that
+#: record (18, 5) are too fast at large shares. Limits: wide enough for any dispatch
 FOLLOWS: Mapping[str, Any] = {
     "kind": "wecc_converter",
     "LVPLSW": 1.0,
