@@ -104,10 +104,11 @@ class _Sweep:
         """Do one of `_PARTS` at every step, while there is time."""
         shares = LINK_SHARES if part == _PARTS[2] else SHARES
         todo = [(kind, share) for share in shares for kind in KINDS]
+        left_out = 0
         for k, step in enumerate(todo):
             progress(k / len(todo))
             if self.clock.over("links"):
-                self.clock.leave(f"{self.name}: {part} of {step[0]} inverters at {100 * step[1]:.0f} %")
+                left_out += 1
                 continue
             known = self.known.setdefault(step, {"problem": ""})
             if known["problem"]:
@@ -118,6 +119,8 @@ class _Sweep:
                 if machine_error(error) is not None:
                     raise
                 known["problem"] = f"{part}: {error}"
+        if left_out:
+            self.clock.leave(f"{self.name}: {part} at {left_out} of {len(todo)} steps")
 
     def _do(self, part: str, step: tuple[str, float], known: dict[str, Any]) -> None:
         steps = self.steps
