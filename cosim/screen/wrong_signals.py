@@ -34,7 +34,7 @@ NAMED_SHARE = 0.99  #: of the isolations, of the right signal
 
 @dataclass(frozen=True)
 class WrongRow:
-    """One run to `stop_s`. verdict : its first words; left_mhz : span of what decides it in the last window.
+    """One run to `stop_s`. verdict : its first words; left_pu : span of what decides it in the last window.
 
     detected_s : from when the signal is wrong to its isolation; None: never. others : isolated though right.
     without : verdict of the grid without control after the same disturbance.
@@ -47,7 +47,7 @@ class WrongRow:
     detector: bool
     verdict: str
     why: str
-    left_mhz: float
+    left_pu: float
     detected_s: float | None
     others: tuple[str, ...]
     without: str
@@ -228,7 +228,7 @@ def certify_wrong_signals(
                 for k, run, outcome, data in _to_the_end(runs, [run for _, run in part]):
                     kind, d, signal = part[k][0]
                     names = (kind, signal, d, point)
-                    ended[k] = _row(names, run, outcome, data, bare[d], case.frequency_hz)
+                    ended[k] = _row(names, run, outcome, data, bare[d])
                 rows += [ended[k] for k in range(len(part))]
                 progress((number + (first + len(part)) / len(jobs)) / len(grids))
     out = tuple(_with_signal_out(grids, controller, signals, cache))
@@ -284,7 +284,6 @@ def _row(
     outcome: Outcome,
     data: Trajectory,
     bare: Outcome,
-    rated_hz: float,
 ) -> WrongRow:
     isolated: dict[str, float] = {}
     if run.detector is not None:
@@ -296,11 +295,8 @@ def _row(
     v = outcome.verdict
     verdict, why, left = (LOST, "the run ended early", 0.0) if v is None else (v.name, v.why, v.last)
     without = LOST if bare.verdict is None else bare.verdict.name
-    return WrongRow(
-        *(*names, run.detector is not None, verdict, why, 1e3 * rated_hz * left, right, tuple(isolated)),
-        without,
-        run.stop_s,
-    )
+    watched = run.detector is not None
+    return WrongRow(*names, watched, verdict, why, left, right, tuple(isolated), without, run.stop_s)
 
 
 def _with_signal_out(

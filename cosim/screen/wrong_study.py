@@ -14,6 +14,7 @@ from typing import Any
 from threadpoolctl import threadpool_limits
 
 from interarea.design.controllers.detector_record import DetectorDesign, DetectorDesignError, load_detector
+from interarea.fmu_build.write.cache import code_hash
 from interarea.models.case.case import Case
 from interarea.models.files import write_rows, write_whole
 
@@ -136,7 +137,8 @@ def _certificate(
         json.dumps(subject.controller.as_dict(), sort_keys=True),
         subject.case.hash,
         str(subject.place),
-        json.dumps([*asked, STOP_S, LONG_S]),
+        json.dumps(asked),
+        code_hash(WrongRow.__module__),
     ]
     if detector is not None:
         compared = load_detector(detector).signals
