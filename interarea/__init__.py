@@ -27,6 +27,7 @@ if TYPE_CHECKING:  # what the table below says, for type checkers and editors
     from interarea.control_systems import h2syn as h2syn
     from interarea.control_systems import hinfsyn as hinfsyn
     from interarea.cosim.errors import StepError as StepError
+    from interarea.cosim.records.playback import Playback as Playback
     from interarea.cosim.records.read import read_record as read_record
     from interarea.cosim.run.system import System as System
     from interarea.design.controllers.controller import Controller as Controller
@@ -66,6 +67,7 @@ _PUBLIC = {
     "design.controllers.controller": "Controller",
     "cosim.run.system": "System",
     "cosim.records.read": "read_record",
+    "cosim.records.playback": "Playback",
     "models.errors": "InterareaError UserError",
     "design.errors": "InfeasibleDesign UncertifiedDesign",
     "cosim.errors": "StepError",

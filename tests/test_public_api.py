@@ -78,6 +78,8 @@ FUNCTIONS = {
     "cache: Path | None = None, arrivals: Literal['exact', 'grid'] = 'exact', strict: bool = False, "
     "**options: Any -> None",
     "Channel": "**keys: Any -> None",
+    "Playback": "name: str, record: Record, channel: str, *, start_s: float, "
+    "nominal_hz: float = 60.0 -> None",
 }
 ERRORS = {
     "InterareaError": Exception,

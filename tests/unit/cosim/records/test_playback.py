@@ -8,14 +8,13 @@ import numpy as np
 import pytest
 
 import interarea as ia
-from interarea.cosim.records.playback import Playback
 from interarea.cosim.records.record import Channel, Record, RecordError
 
 STEP_S, WRONG_S, STOP_S = 0.02, 1.0, 3.0
 PULSE = {"kind": "vref_pulse", "machine": "G1", "size_pu": 0.05, "start_s": 0.5, "end_s": 0.7}
 
 
-def loop(hand_controller: ia.Controller, wrong: Playback | None, **keys: object) -> ia.System:
+def loop(hand_controller: ia.Controller, wrong: ia.Playback | None, **keys: object) -> ia.System:
     system = (
         ia.System(stop_s=STOP_S, step_s=STEP_S).plant("two-area-thesis").controller(hand_controller.system)
     )
@@ -40,7 +39,7 @@ def test_a_record_of_a_biased_signal_does_what_the_bias_does(
     ]
     (tmp_path / "own.csv").write_text("\n".join(lines) + "\n")
     record = ia.read_record(tmp_path / "own.csv")
-    wrong = Playback("wrong", record, record.channels[0].name, start_s=WRONG_S)
+    wrong = ia.Playback("wrong", record, record.channels[0].name, start_s=WRONG_S)
     played = loop(hand_controller, wrong).run()
     right = loop(hand_controller, None).run()
     moved = np.abs(biased["plant.G4_dw"] - right["plant.G4_dw"]).max()
@@ -66,4 +65,4 @@ def record(values: list[float]) -> Record:
 )
 def test_refused(channel: str, values: list[float], start_s: float, says: str) -> None:
     with pytest.raises(RecordError, match=says):
-        Playback("wrong", record(values), channel, start_s=start_s)
+        ia.Playback("wrong", record(values), channel, start_s=start_s)
