@@ -137,5 +137,5 @@ def _compact(text: str) -> str:
         if comment or line.startswith("/*"):
             comment = "*/" not in line
         elif line:
-            lines.append(_BRACE.sub(r"\1{", _AFTER.sub("", line)))
+            lines.append(_BRACE.sub(r"\1{", _AFTER.sub("", line)).replace(" => ", "=>"))
     return "\n".join(lines)
