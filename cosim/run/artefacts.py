@@ -18,6 +18,7 @@ from interarea.fmu_build.write.cache import (
     cached_json,
     code_hash,
     content_hash,
+    device_hash,
     numerics_versions,
     source_hash,
 )
@@ -117,6 +118,7 @@ def built_fmu(cache: Path, kind: str, name: str, provided: list[Any], block: Cal
         provided,
         source_hash("models"),
         source_hash("models", "*.[ch]"),
+        device_hash(),
         source_hash("fmu_build/write"),
         source_hash("fmu_build", "*.[ch]"),
         numerics_versions(),
@@ -265,7 +267,8 @@ def growth_at_rest(case: Case, cache: Path) -> Growth | None:
     if not case.machines or any(machine.model == "power_flow" for machine in case.machines):
         return None
     sources = [source_hash(room) for room in ("models", "design/modes", "design/linear", "fmu_build/write")]
-    key = content_hash(case.model_dump_json(), *sources, source_hash("models", "*.[ch]"), numerics_versions())
+    sources += [source_hash("models", "*.[ch]"), device_hash()]
+    key = content_hash(case.model_dump_json(), *sources, numerics_versions())
     try:
         verdict = cached_json(
             cache, "growth", key, lambda: growth_of_plant(sparse_linear_plant(case, cache)).as_dict()

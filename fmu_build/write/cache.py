@@ -66,9 +66,16 @@ def source_hash(room: str, pattern: str = "*.py") -> str:
     return content_hash(*(part for p in files for part in (p.relative_to(folder).as_posix(), p.read_bytes())))
 
 
+def device_hash() -> str:
+    """Return the hash of the bundled device files, from which C and records of plants are made."""
+    return source_hash("models/devices", "*.toml")
+
+
 @forever
 def code_hash(module: str) -> str:
     """Return the hash of the Python source of a module of this package and of all it imports from it.
+
+    Device files count where one of these is a module of `models.devices`.
 
     module : full name; a module's own `__name__`, or the `__module__` of what it defines.
 
@@ -87,7 +94,9 @@ def code_hash(module: str) -> str:
             todo += _imports(package, sources[name])
     if module not in sources:
         raise ValueError(f"{module!r} is no module of this package")
-    return content_hash(*(part for name in sorted(sources) for part in (name, sources[name])))
+    devices = any(name.startswith("interarea.models.devices") for name in sources)
+    parts = (part for name in sorted(sources) for part in (name, sources[name]))
+    return content_hash(*parts, *([device_hash()] if devices else []))
 
 
 def _source_file(name: str) -> Path | None:

@@ -55,6 +55,24 @@ def test_keys_tell_apart_what_differs() -> None:
     assert code_hash("interarea.design.linear.linearise") != code_hash("interarea.design.modes.modes")
 
 
+def test_a_key_follows_the_device_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """C and records are made of them: a plant of old ones does not start in a library of new ones."""
+    for name, text in {
+        "models/devices/library.py": "",
+        "models/devices/exciters/sexs.toml": "old",
+        "design/start.py": "from interarea.models.devices import library\n",
+        "design/beside.py": "",
+    }.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    monkeypatch.setattr(store, "ROOMS", tmp_path)
+    monkeypatch.setattr(store, "source_hash", store.source_hash.__wrapped__)
+    fresh, names = code_hash.__wrapped__, ("interarea.design.start", "interarea.design.beside")
+    before = [fresh(name) for name in names]
+    (tmp_path / "models/devices/exciters/sexs.toml").write_text("new", encoding="utf-8")
+    assert [fresh(name) == key for name, key in zip(names, before, strict=True)] == [False, True]
+
+
 def test_a_key_follows_every_form_of_import(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A form that is overlooked serves stale designs from the cache: each must reach the file it names."""
     files = {
