@@ -27,6 +27,8 @@ from .linear import modal
 from .models import SLOTS, step_s
 from .subject import Subject
 
+Array = np.ndarray[Any, Any]
+
 VERSION = 1  #: of the address that a page understands
 #: Longest steps while a slider moves: over the fastest pole, of the classical method (stable up to 2.78) and
 #: of `web/drawn_step.h` (up to 12); s.
@@ -57,7 +59,9 @@ def content_of(subject: Subject) -> dict[str, Any]:
     ------
     ScenarioError : more events than a page can set.
     """
-    scenario, case, wrong = subject.scenario, subject.case, _wrong(subject)
+    scenario, case = subject.scenario, subject.case
+    poles = np.linalg.eigvals(subject.linear(subject.points[0]).A)
+    wrong = _wrong(case, poles)
     return {
         "version": VERSION,
         "name": scenario.name,
@@ -71,7 +75,7 @@ def content_of(subject: Subject) -> dict[str, Any]:
         },
         "stop": scenario.stop_s,
         "step": step_s(scenario),
-        "solver": _solver(subject),
+        "solver": _solver(subject, poles),
         "machines": [{"name": m.name, "area": m.area, "bus": m.bus} for m in case.machines],
         "buses": _buses(case),
         "branches": [
@@ -95,14 +99,13 @@ def content_of(subject: Subject) -> dict[str, Any]:
     }
 
 
-def _wrong(subject: Subject) -> dict[str, dict[str, Any]]:
+def _wrong(case: Case, poles: Array) -> dict[str, dict[str, Any]]:
     """What can be wrong with a speed: table of `signal_faults` (kind, size, detail), code in the FMU."""
-    poles = np.linalg.eigvals(subject.linear(subject.points[0]).A)
     swings = [s for s in poles if 0.1 <= s.imag / (2.0 * np.pi) <= 2.5]
     weakest_hz = max(swings, key=lambda s: s.real / abs(s)).imag / (2.0 * np.pi) if swings else 0.5
     codes = {kind: number for kind, number, _ in SIGNAL_FAULT.items}
     kinds: dict[str, dict[str, Any]] = {}
-    for words, table in wrong_kinds(subject.case.frequency_hz, weakest_hz).items():
+    for words, table in wrong_kinds(case.frequency_hz, weakest_hz).items():
         if table["kind"] not in _LEFT_OUT:
             fault: Any = TypeAdapter(SignalFault).validate_python({**table, "start_s": 0.0})
             kinds[words] = {"table": table, "code": codes[fault.kind], "packets": fault.packets}
@@ -118,10 +121,9 @@ def _kinds(signal: str, table: Mapping[str, Any], wrong: Mapping[str, Any]) -> l
     return [*(["given"] if faults else []), "none", *fits]
 
 
-def _solver(subject: Subject) -> dict[str, float]:
+def _solver(subject: Subject, poles: Array) -> dict[str, float]:
     """Longest steps, s: of an exact run; while a slider moves where limiters switch (fast) and elsewhere."""
     exact = subject.case.solver_step_s or max(min(0.001, shortest_time_s(subject.point)), 1e-6)
-    poles = np.linalg.eigvals(subject.linear(subject.points[0]).A)
     fastest = float(np.max(np.abs(poles), initial=1e-3))
     fast, drawn = (max(exact, min(reach / fastest, _COARSEST_S)) for reach in (_COARSE, _DRAWN))
     return {"exact": exact, "fast": fast, "drawn": drawn}
