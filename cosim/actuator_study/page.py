@@ -13,10 +13,9 @@ from matplotlib.ticker import MaxNLocator
 
 from interarea.models.files import write_whole
 
-from ..grid_study.page import ratio, sentence
-from ..maps.page import plain
+from ..grid_study.page import study_environment
 from ..plots.curves import DASHES, MUTED, SERIES, STYLE, WIDTH
-from ..plots.html import page_environment, page_figure
+from ..plots.html import page_figure
 from .installed import KINDS
 
 OWN_AT = -40  #: on the axis of latencies, ms: where the own-signal controller, which is never late, is drawn
@@ -24,9 +23,7 @@ OWN_AT = -40  #: on the axis of latencies, ms: where the own-signal controller, 
 
 def write_actuator_page(study: Mapping[str, Any], path: Path) -> Path:
     """Write the page of what `study` holds so far."""
-    environment = page_environment(Path(__file__).parent)
-    environment.filters |= {"plain": plain, "ratio": ratio}
-    environment.filters["sentence"] = sentence
+    environment = study_environment(Path(__file__).parent)
     figure = page_figure(_figure(study), "actuators", "Actuators over latency") if study["cells"] else ""
     text = environment.get_template("actuators.html.j2").render(study=study, figure=figure, kinds=KINDS)
     return write_whole(path, text.encode("utf-8"))

@@ -12,19 +12,15 @@ from matplotlib.figure import Figure
 
 from interarea.models.files import write_whole
 
-from ..maps.page import plain
 from ..plots.curves import DASHES, MUTED, SERIES, STYLE, WIDTH
-from ..plots.html import page_environment, page_figure
+from ..plots.html import page_figure
 from .link_worth import OWN, SIGNALS
-from .page import ratio, sentence
+from .page import study_environment
 
 
 def write_link_page(study: Mapping[str, Any], path: Path) -> Path:
     """Write the page of what `study` holds so far."""
-    environment = page_environment(Path(__file__).parent)
-    environment.filters["plain"] = plain
-    environment.filters["ratio"] = ratio
-    environment.filters["sentence"] = sentence
+    environment = study_environment(Path(__file__).parent)
     figures = {
         grid["grid"]: page_figure(_figure(grid), f"worth-{k}", f"Worth of links, {grid['grid']}")
         for k, grid in enumerate(study["grids"])

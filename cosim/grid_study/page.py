@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import jinja2
 import matplotlib as mpl
 import numpy as np
 from markupsafe import Markup
@@ -27,6 +28,14 @@ from ..plots.mode_map import shape_plot
 SHAPES = 4  #: modes whose shapes are drawn
 
 
+def study_environment(folder: Path) -> jinja2.Environment:
+    """Return the templates of a folder with the filters that pages of studies of grids share."""
+    environment = page_environment(folder)
+    environment.filters |= {"plain": plain, "ratio": ratio}
+    environment.filters["sentence"] = sentence
+    return environment
+
+
 def mode_shapes(modes: Sequence[Mode], case: Case) -> list[Markup]:
     """Draw the shapes of the first `SHAPES` modes, as figures of a page."""
     return [page_figure(shape_plot(mode, case), f"shape-{k}") for k, mode in enumerate(modes[:SHAPES])]
@@ -37,9 +46,7 @@ def write_page(study: Mapping[str, Any], modes: Sequence[Mode], shapes: Sequence
 
     modes : those shown, in the order of the page. shapes : figures of the first ones (`mode_shapes`).
     """
-    environment = page_environment(Path(__file__).parent)
-    environment.filters |= {"plain": plain, "ratio": ratio}
-    environment.filters["sentence"] = sentence
+    environment = study_environment(Path(__file__).parent)
     text = environment.get_template("grid_study.html.j2").render(
         study=study,
         headline=headline(study),

@@ -12,18 +12,15 @@ from matplotlib.figure import Figure
 
 from interarea.models.files import write_whole
 
-from ..grid_study.page import ratio, sentence
-from ..maps.page import plain
+from ..grid_study.page import study_environment
 from ..plots.curves import DASHES, MUTED, SERIES, STYLE, WIDTH
-from ..plots.html import page_environment, page_figure
+from ..plots.html import page_figure
 from .replaced import KINDS
 
 
 def write_inverter_page(study: Mapping[str, Any], path: Path) -> Path:
     """Write the page of what `study` holds so far."""
-    environment = page_environment(Path(__file__).parent)
-    environment.filters |= {"plain": plain, "ratio": ratio}
-    environment.filters["sentence"] = sentence
+    environment = study_environment(Path(__file__).parent)
     figures = {
         grid["grid"]: page_figure(_figure(grid), f"inverters-{k}", f"Inverters by share, {grid['grid']}")
         for k, grid in enumerate(study["grids"])
