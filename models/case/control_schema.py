@@ -53,9 +53,11 @@ def control_model(word: str, control: Control, own: Mapping[str, Model]) -> Mode
     return None if BARE.get(word) == control.kind else device_model(control.kind, word, own)
 
 
-def control_numbers(model: Model, control: Control, mbase: float) -> dict[str, float | str]:
+def control_numbers(
+    model: Model, control: Control, mbase: float, frequency_hz: float
+) -> dict[str, float | str]:
     """Return the numbers of a control with a device: absent limits as +-1e30, what is computed as a word."""
-    return numbers_of(model.device, control.parameters, mbase)
+    return numbers_of(model.device, control.parameters, mbase, frequency_hz)
 
 
 def _control(word: str, kind: str | None) -> Any:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from .language.device import MBASE
+from .language.device import FBASE, MBASE
 from .language.element import On
 from .language.expression import ONE, Node
 from .language.structure import Model
@@ -19,8 +19,10 @@ _DECIDES = {"min": 1, "max": 1, "clamp": 2, "deadband": 2, "abs": 1, "fex": 4, "
 
 
 def given_rows(model: Model) -> tuple[str, ...]:
-    """Return the rows of a device's table that the case gives: parameters, MBASE, references."""
-    return (*(p.name for p in model.device.parameters), MBASE, *model.device.references)
+    """Return the rows of a device's table that the case gives: parameters, bases, references."""
+    device = model.device
+    hz = (FBASE,) if any(FBASE in line.node.names for line in device.lines) else ()
+    return (*(p.name for p in device.parameters), MBASE, *hz, *device.references)
 
 
 class ExpressionWriter:

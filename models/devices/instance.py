@@ -31,7 +31,7 @@ class Margin:
 
 
 class Instance:
-    """A device for the parameters `values` (references and MBASE among them).
+    """A device for the parameters `values` (references, MBASE and FBASE among them).
 
     Raises
     ------

@@ -54,6 +54,7 @@ def response_of(
     point: Mapping[str, float] | None = None,
     *,
     base_mva: float = 100.0,
+    frequency_hz: float = 60.0,
     stop_s: float = 10.0,
 ) -> Response:
     """Return what the device with parameters `provided` does at `point` (values of `POINT` where not given).
@@ -72,8 +73,9 @@ def response_of(
                 f"{device.name}: {name} = {value:g} is no signal of it; known: {', '.join(seen)}"
             )
         seen[name] = value
-    if not stop_s > 0.0 or not base_mva > 0.0:
-        raise DeviceError(f"{device.name}: stop {stop_s:g} s, base {base_mva:g} MVA, allowed: above 0")
+    if not min(stop_s, base_mva, frequency_hz) > 0.0:
+        given = f"stop {stop_s:g} s, base {base_mva:g} MVA, {frequency_hz:g} Hz"
+        raise DeviceError(f"{device.name}: {given}, allowed: above 0")
     inputs = {name: seen[name] for name in kind.inputs}
     if device.kind == "converter":  # its currents are those of its powers
         seen["ip"], inputs["iq"] = seen["p"] / seen["vt"], seen["q"] / seen["vt"]
@@ -84,7 +86,7 @@ def response_of(
         row = row_of(device, provided)
     except DeviceError as error:
         raise DeviceError(f"{device.name}{error}") from None
-    rest = rest_of(model, numbers_of(device, row, base_mva), inputs, output, device.name)
+    rest = rest_of(model, numbers_of(device, row, base_mva, frequency_hz), inputs, output, device.name)
     times, stepped = _step_response(rest, inputs, stop_s)
     return Response(rest, _poles(rest, inputs), STEPS[device.kind], times, stepped)
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 from ..errors import BeyondLimit, DeviceError
 from .instance import Instance, Margin
-from .language.device import MBASE
+from .language.device import BASES
 from .language.element import Equation
 from .language.elements import Plain
 from .language.expression import Node, evaluate
@@ -51,8 +51,8 @@ def rest_of(
 ) -> RestPoint:  # fmt: skip
     """Return the device at rest with `inputs` and, when it has references, with `output`.
 
-    values : parameters, MBASE among them; one that equals its `computed.when` is computed. `who` names the
-    device in errors.  check : refuse a rest beyond a limit; room : nearer
+    values : parameters, MBASE and FBASE among them; one that equals its `computed.when` is computed. `who`
+    names the device in errors.  check : refuse a rest beyond a limit; room : nearer
     to one than this, relative to the signal, is beyond it.
 
     Raises
@@ -68,7 +68,7 @@ def rest_of(
         if values[name] == rule.when:
             known[name] = at_rest[name] = float(evaluate(rule.value, at_rest))
             steps.append(f"{name} = {rule.value}")
-    parameters = {p.name: float(known[p.name]) for p in device.parameters} | {MBASE: float(known[MBASE])}
+    parameters = {name: float(known[name]) for name in (*device.by_name, *BASES)}
     for check_ in device.checks:
         if not evaluate(check_.node, parameters):
             parts = ", ".join(f"{n} = {parameters[n]:g}" for n in dict.fromkeys(check_.node.names))

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from ..errors import DeviceError, nearest
-from .language.device import MBASE, NO_LIMIT, Device, Parameter
+from .language.device import BASES, FBASE, MBASE, NO_LIMIT, Device, Parameter
 from .language.expression import evaluate
 
 Given = float | str | None  #: None: an absent limit; a word: computed at rest
@@ -48,9 +48,11 @@ def _given(device: Device, p: Parameter, provided: Mapping[str, Any]) -> Given:
     return float(value)
 
 
-def numbers_of(device: Device, row: Mapping[str, Given], mbase: float) -> dict[str, float | str]:
-    """Return a row as numbers: absent limits as +-1e30, words as they are, MBASE in MVA."""
-    values: dict[str, float | str] = {MBASE: mbase}
+def numbers_of(
+    device: Device, row: Mapping[str, Given], mbase: float, frequency_hz: float
+) -> dict[str, float | str]:
+    """Return a row as numbers: absent limits as +-1e30, words as they are, MBASE in MVA, FBASE in Hz."""
+    values: dict[str, float | str] = {MBASE: mbase, FBASE: frequency_hz}
     for p in device.parameters:
         value = row[p.name]
         values[p.name] = (p.default if p.default is not None else NO_LIMIT) if value is None else value
@@ -58,9 +60,9 @@ def numbers_of(device: Device, row: Mapping[str, Given], mbase: float) -> dict[s
 
 
 def _check(device: Device, row: Mapping[str, Given]) -> None:
-    values = numbers_of(device, row, 100.0)
+    values = numbers_of(device, row, 100.0, 60.0)
     for rule in device.checks:
-        names = [name for name in dict.fromkeys(rule.node.names) if name != MBASE]
+        names = [name for name in dict.fromkeys(rule.node.names) if name not in BASES]
         computed = (name in device.computed and values[name] == device.computed[name].when for name in names)
         if any(computed) or evaluate(rule.node, values):
             continue

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from .document import ELEMENTS, OPTIONS
-from .language.device import KINDS, MBASE, UNITS
+from .language.device import FBASE, KINDS, MBASE, UNITS
 
 _TEXT: dict[str, Any] = {"type": "string"}
 _NUMBER: dict[str, Any] = {"type": "number"}
@@ -102,7 +102,8 @@ def diagram_words() -> Iterator[str]:
         "",
         "## Signals",
         "",
-        f"`{MBASE}`, the base of the machine in MVA, is known to every device.",
+        f"`{MBASE}`, the base of the machine in MVA, and `{FBASE}`, the nominal frequency in Hz, are known "
+        "to every device.",
         "",
         "| kind | it gives | set-point | it sees |",
         "|---|---|---|---|",

@@ -44,7 +44,7 @@ def dyr_of(case: Case) -> Written:
             if control is None or device is None:
                 continue
             try:
-                name, fields = _control(device, control, m.base_mva)
+                name, fields = _control(device, control, m.base_mva, case.frequency_hz)
             except DeviceError as error:
                 losses.append(f"{m.name}.{word}: {error}")
                 continue
@@ -117,9 +117,11 @@ def _saturation(m: Machine) -> tuple[float, float]:
     return at[0], at[1] / 1.2  # of the flux
 
 
-def _control(model: Model, control: Control, base_mva: float) -> tuple[str, tuple[float, ...]]:
+def _control(
+    model: Model, control: Control, base_mva: float, frequency_hz: float
+) -> tuple[str, tuple[float, ...]]:
     values: dict[str, float] = {}
-    for name, value in control_numbers(model, control, base_mva).items():
+    for name, value in control_numbers(model, control, base_mva, frequency_hz).items():
         if isinstance(value, str):
             raise DeviceError(f"{name} = {value!r} is computed at rest")
         values[name] = math.copysign(_WIDE, value) if abs(value) >= NO_LIMIT else float(value)

@@ -302,7 +302,7 @@ def rests_of(
         kind, share = model.device.kind, row_at.base_mva / case.base_mva
         output, given = bus.output(kind, share), bus.given(kind, share)
         who = f"{case.name}: {table_of(kind)}.{row_at.name}.control"
-        numbers = control_numbers(model, row_at.control, row_at.base_mva)
+        numbers = control_numbers(model, row_at.control, row_at.base_mva, case.frequency_hz)
         rest = _rest_of(model, numbers, given, output, who, row_at.name, "control", room)
         rests.append((k, kind, rest))
         at = {"vt": bus.seen, "out": output}
@@ -322,7 +322,8 @@ def _rest(
     seen = {name: row.get(name, 0.0) for name in KINDS[word].inputs}
     who = f"{case.name}: machines.{m.name}.{word}"
     output = row[KINDS[word].output] if model.device.references else None
-    return _rest_of(model, control_numbers(model, control, m.base_mva), seen, output, who, m.name, word, room)
+    numbers = control_numbers(model, control, m.base_mva, case.frequency_hz)
+    return _rest_of(model, numbers, seen, output, who, m.name, word, room)
 
 
 def _rest_of(

@@ -88,6 +88,8 @@ AT_BUS = ("svc", "statcom", "converter", "hvdc")  #: kinds of devices at a bus; 
 OF_SVC = ("svc", "statcom")  #: kinds of the table svcs
 OF_MACHINE = tuple(kind for kind in KINDS if kind not in AT_BUS)
 MBASE = "MBASE"  #: MVA base of the machine or of the device at a bus, known to every device
+FBASE = "FBASE"  #: nominal frequency of the grid in Hz, known to every device
+BASES = (MBASE, FBASE)
 UNITS = ("1", "s", "pu", "pu/s", "rad", "deg", "Hz", "MVA", "1/s")
 
 
@@ -224,7 +226,7 @@ class Device:
     @cached_property
     def constants(self) -> frozenset[str]:
         """Names whose value is fixed when the case is read."""
-        return frozenset(p.name for p in self.parameters) | {MBASE}
+        return frozenset(p.name for p in self.parameters) | {*BASES}
 
     @cached_property
     def by_name(self) -> dict[str, Parameter]:

@@ -7,7 +7,7 @@ from typing import Any
 
 from ...documents import DocumentError, parse_toml, require_regular
 from ...errors import DeviceError, nearest, reason
-from .device import KINDS, MBASE, Check, Computed, Device, DyrModel, Line
+from .device import BASES, KINDS, Check, Computed, Device, DyrModel, Line
 from .diagram import Diagram
 from .expression import COMPARISONS, NAME, Node, parse
 from .parameters import read_parameters
@@ -83,7 +83,7 @@ class _Reader(Source):
         self.kind = KINDS[kind]
         self.references, fixed_text = self.read_references()
         self.parameters = read_parameters(self, kind, self.references)
-        self.constants = frozenset(self.parameters) | {MBASE}
+        self.constants = frozenset(self.parameters) | {*BASES}
         lines = Diagram(self, kind, self.constants, self.references).lines()
         at_rest = self.constants | {*self.kind.inputs, self.kind.output, *self.kind.also}
         fixed = tuple((key, self.expression(t, "references", at_rest)) for key, t in fixed_text.items())

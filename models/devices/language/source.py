@@ -7,10 +7,10 @@ import math
 from typing import Any
 
 from ...errors import DeviceError
-from .device import MBASE, NO_LIMIT
+from .device import BASES, NO_LIMIT
 from .expression import NAME
 
-_RESERVED = frozenset({MBASE, "none"})
+_RESERVED = frozenset({*BASES, "none"})
 
 
 class Source:

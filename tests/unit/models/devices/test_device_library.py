@@ -13,7 +13,7 @@ from interarea.models.devices.c_expression import given_rows
 from interarea.models.devices.dyr import device_for_dyr, dyr_fields, dyr_models
 from interarea.models.devices.emit import devices_header
 from interarea.models.devices.instance import Instance
-from interarea.models.devices.language.device import KINDS, MBASE
+from interarea.models.devices.language.device import FBASE, KINDS, MBASE
 from interarea.models.devices.library import device_model, library
 from interarea.models.devices.rest import rest_of
 from interarea.models.errors import DeviceError
@@ -124,7 +124,10 @@ TYPICAL = {name: (model, given) for name, model, given in typical()}
 
 
 def complete(model, given):
-    return {p.name: given.get(p.name, p.default) for p in model.device.parameters} | {MBASE: 100.0}
+    return {p.name: given.get(p.name, p.default) for p in model.device.parameters} | {
+        MBASE: 100.0,
+        FBASE: 60.0,
+    }
 
 
 def at_rest(name):

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from interarea.cosim.designs.sensitivities import state_matrix
 from interarea.fmu_build.write.cache import default_cache
-from interarea.models.case.case import Case
-from interarea.models.devices.language.device import MBASE
+from interarea.models.case.case import Case, load_case
+from interarea.models.devices.language.device import FBASE, MBASE
 from interarea.models.devices.library import library
 from interarea.models.devices.rest import rest_of
+from interarea.models.devices.rows import numbers_of, row_of
 from interarea.models.errors import CaseError, DeviceError
 from interarea.models.exporters.dyr import dyr_of
 from interarea.models.grid.control_tables import StartError
@@ -75,7 +78,7 @@ def test_the_exciter_with_field_current_regulator_rests_as_printed(tmp_path: Pat
 
 def response(TD: float, omega: float) -> complex:
     """Gain from speed to power of DEGOV at a frequency, by complex steps of its equations."""
-    values = DEGOV | {"TD": TD, "TMIN": 0.0, "TMAX": 1.1, MBASE: 100.0}
+    values = DEGOV | {"TD": TD, "TMIN": 0.0, "TMAX": 1.1, MBASE: 100.0, FBASE: 60.0}
     point = rest_of(library()["degov"], values, {"slip": 0.0, "pe": 0.7}, 0.7, "test")
     n, h = len(point.states), 1e-30
     steps = 1j * h * np.eye(n + 1)
@@ -119,7 +122,6 @@ def test_the_valve_curve_of_wsieg1_gives_the_flow(tmp_path: Path) -> None:
 REFUSED = {
     f"102 'WSIEG1' 1 {'0 ' * 5}0.1 0.3 -0.5 1 0 0.25 1{' 0' * 10} 0.01{' 0' * 13} /": r"23 \(DB1\) = 0\.01",
     "102 'IEEEST' 1 1 7 0 0 0 0 0 0 0 0 0 0 5 10 3 0.1 -0.1 0 0 /": r"IEEEST field 2 \(BUS\) = 7, allowed: 0",
-    "102 'IEEEST' 1 2 0 0 0 0 0 0 0 0 0 0 0 5 10 3 0.1 -0.1 0 0 /": "a bus frequency is not modelled",
     "102 'PSSSIM' 1 1 34 30 5 6 7 8 100 20 0.06 0.04 0.08 0.04 1 -1 /": "GridPACK.*--leave-out PSSSIM",
     "102 'MAXEX2' 1 0 /": "'MAXEX2' .* excitation limiter, .*--leave-out MAXEX2 goes on without it",
 }
@@ -144,3 +146,75 @@ def test_a_limiter_that_acts_at_rest_is_named(tmp_path: Path) -> None:
     case_with(record.format(4.0), tmp_path)
     with pytest.raises(StartError, match=r"vr is 1\.\d+ at rest, but max\(vl, VRMIN\) = .* holds it below"):
         operating_point(case_with(record.format(1.5), tmp_path))
+
+
+#: what makes each a plain gain of 1 behind its input
+BUS_FREQUENCY = {
+    "ieeest": {"ICS": 2.0, "KS": 1.0, "LSMIN": -1.0, "LSMAX": 1.0},
+    "st2cut": {"ICS1": 1.0, "ICS2": 2.0, "K1": 0.0, "K2": 1.0, "LSMIN": -1.0, "LSMAX": 1.0}
+    | {f"T{k}": 0.0 for k in range(1, 11)},
+}
+
+
+@pytest.mark.parametrize("kind", BUS_FREQUENCY)
+@pytest.mark.parametrize("hz", [50.0, 60.0])
+def test_a_bus_frequency_is_that_of_its_voltage(kind: str, hz: float) -> None:
+    """ICS = 2, gain 1 and nothing else: the rate of the angle of the bus's voltage in Hz/Hz, late by 10 ms.
+
+    The rotor leads its bus by a(t), so the bus turns by slip - a'/(2 pi f); where a' = W stands, a lag of T
+    of the phasor gives W/(1 + (W T)**2).
+    """
+    model, w0, T = library()[kind], 2.0 * np.pi * hz, 0.01
+    values = numbers_of(model.device, row_of(model.device, BUS_FREQUENCY[kind]), 100.0, hz)
+    at = {"vt": 0.9, "pe": 0.8, "pm": 0.8, "id": 0.7, "iq": 0.5}
+
+    def output(lead: Callable[[float], float], slip: Callable[[float], float], stop_s: float) -> float:
+        def seen(t: float) -> dict[str, float]:
+            return at | {"vd": 0.9 * np.sin(lead(t)), "vq": 0.9 * np.cos(lead(t)), "slip": slip(t)}
+
+        point = rest_of(model, values, seen(0.0) | {"slip": 0.0}, None, kind)
+        run = solve_ivp(
+            lambda t, x: point.instance.run(x, seen(t))[1],
+            (0.0, stop_s),
+            point.states,
+            rtol=1e-10,
+            atol=1e-12,
+        )
+        return float(point.instance.run(run.y[:, -1], seen(stop_s))[0]["vs"])
+
+    stiff = output(lambda t: 0.6 + 1e-3 * w0 / 6.0 * np.sin(6.0 * t), lambda t: 1e-3 * np.cos(6.0 * t), 1.0)
+    assert abs(stiff) < 1e-6  # a rotor that swings beside a bus of constant frequency
+    together = output(lambda t: 0.6, lambda t: 2e-3, 0.3)
+    assert together == pytest.approx(2e-3, rel=1e-6)
+    W = 3.0
+    drifting = output(lambda t: 0.6 + W * t, lambda t: 2e-3, 0.3)
+    assert drifting == pytest.approx(2e-3 - W / (1.0 + (W * T) ** 2) / w0, rel=1e-6)
+
+
+def test_a_stabilizer_on_the_bus_frequency_moves_modes_as_in_another_tool() -> None:
+    """ANDES 2.0's modes (docs/book.md), whose filter is another; on the speed they are those of `speed`."""
+    printed = [-0.483 + 3.788j, -1.525 + 7.342j, -1.576 + 7.582j]
+    case = load_case("kundur-pss")
+    speed = case.machines[0].stabilizer
+    assert speed is not None
+    p = speed.parameters
+    shared = {"KS": p["K"], "T5": p["Tw"], "T6": p["Tw"], "LSMIN": -1.0, "LSMAX": 1.0}
+    shared |= {key: p[key] for key in ("T1", "T2", "T3", "T4")}
+
+    def poles(stabilizer: dict[str, float | str]) -> np.ndarray:
+        changes = {"machines": {"defaults": {"saturation": "none", "stabilizer": stabilizer}}}
+        return np.linalg.eigvals(state_matrix(case.with_changes(changes), default_cache()))
+
+    on_speed, on_bus = (poles({"kind": "ieeest", "ICS": ics} | shared) for ics in (1.0, 2.0))
+    for mode in [-0.5468 + 3.8263j, -2.1336 + 8.2075j, -2.1947 + 8.5231j]:
+        assert np.abs(on_speed - mode).min() < 2e-4  # `speed` of the package
+    for mode in printed:
+        assert np.abs(on_bus - mode).min() < 0.01 * abs(mode)
+
+
+def test_a_record_on_the_bus_frequency_goes_in_and_out(tmp_path: Path) -> None:
+    tail = "0 0 0 0 0 0 0 0 0 0 5 10 3 0.1 -0.1 0 0 /"
+    case = case_with(f"{SEXS}102 'IEEEST' 1 2 0 {tail}", tmp_path)
+    assert "102 'IEEEST' '1' 2.0 0.0 " in dyr_of(case).text
+    rest = operating_point(case).controls.of("stabilizer")[0].rest
+    assert rest.instance.values["FBASE"] == case.frequency_hz and rest.output == 0.0

@@ -12,7 +12,7 @@ from plant_shim import BlockShim
 from interarea.models.blocks.plant import event_parameters, plant_block
 from interarea.models.case.events import events_of
 from interarea.models.devices.dyr import device_for_dyr
-from interarea.models.devices.language.device import MBASE
+from interarea.models.devices.language.device import FBASE, MBASE
 from interarea.models.devices.rest import rest_of
 from interarea.models.grid.equilibrium import operating_point
 from interarea.models.importers.dyr import read_dyr
@@ -60,7 +60,7 @@ def test_pss2c_remembers_between_its_thresholds_whether_it_is_on() -> None:
     (record,) = [r for r in read_dyr(HERE / "OMIB_PSS2C.dyr").records if r.model == "PSS2C"]
     result = device_for_dyr(record)
     inputs = {"slip": 0.0, "pe": 0.9, "vt": 1.0, "pm": 0.9}
-    rest = rest_of(result.model, dict(result.parameters) | {MBASE: 100.0}, inputs, None, "x")
+    rest = rest_of(result.model, dict(result.parameters) | {MBASE: 100.0, FBASE: 60.0}, inputs, None, "x")
     states = np.array(rest.states)
     for on, pe, then in ((1, 0.9, 1), (1, 0.89, 1), (1, 0.88, 0), (0, 0.89, 0), (0, 0.9, 1)):
         states[3:] = 1e-3

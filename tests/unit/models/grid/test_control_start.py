@@ -56,8 +56,11 @@ def test_a_limit_that_moves_is_widened_by_the_parameter_in_it():
     """ESST1A: Efd <= vt VRMAX - KC ifd, so VRMAX = (1.1 Efd + KC ifd)/vt."""
     model = library()["esst1a"]
     given = {"VOS": 1.0, "VIMIN": -9.0, "VIMAX": 9.0, "KA": 200.0, "VAMIN": -8.0, "VAMAX": 8.0}
-    given |= {"VRMIN": -6.0, "VRMAX": 1.5, "KC": 0.1, "MBASE": 100.0}
-    values = {p.name: given.get(p.name, p.default) for p in model.device.parameters} | {"MBASE": 100.0}
+    given |= {"VRMIN": -6.0, "VRMAX": 1.5, "KC": 0.1, "MBASE": 100.0, "FBASE": 60.0}
+    values = {p.name: given.get(p.name, p.default) for p in model.device.parameters} | {
+        "MBASE": 100.0,
+        "FBASE": 60.0,
+    }
     seen = dict.fromkeys(model.device.inputs, 0.0) | {"vt": 0.95, "vc": 0.95, "ifd": 1.9}
     changed = released(model, values, seen, 1.8, "G1.exciter")
     assert changed == {"VRMAX": pytest.approx((1.1 * 1.8 + 0.1 * 1.9) / 0.95, rel=1e-9)}
@@ -67,7 +70,7 @@ def test_what_is_no_limit_is_not_released():
     """GAST above its temperature limit: no clamp is in the way but the gate before it."""
     model = library()["gast"]
     values = {"R": 0.05, "T1": 0.4, "T2": 0.1, "T3": 3.0, "AT": 0.5, "KT": 2.0, "VMIN": 0.0, "VMAX": 1.1}
-    values |= {"Dturb": 0.0, "MBASE": 100.0}
+    values |= {"Dturb": 0.0, "MBASE": 100.0, "FBASE": 60.0}
     with pytest.raises(DeviceError, match="x1 does not stand still at rest"):
         released(model, values, {"slip": 0.0, "pe": 0.8}, 0.8, "G1.governor")
 
