@@ -14,7 +14,7 @@ from interarea.fmu_build.write.cache import default_cache
 from interarea.models.case.case import Case, load_case
 from interarea.models.devices.language.device import FBASE, MBASE
 from interarea.models.devices.library import library
-from interarea.models.devices.rest import rest_of
+from interarea.models.devices.rest import RestPoint, rest_of
 from interarea.models.devices.rows import numbers_of, row_of
 from interarea.models.errors import CaseError, DeviceError
 from interarea.models.exporters.dyr import dyr_of
@@ -120,7 +120,10 @@ def test_the_valve_curve_of_wsieg1_gives_the_flow(tmp_path: Path) -> None:
 
 
 REFUSED = {
-    f"102 'WSIEG1' 1 {'0 ' * 5}0.1 0.3 -0.5 1 0 0.25 1{' 0' * 10} 0.01{' 0' * 13} /": r"23 \(DB1\) = 0\.01",
+    f"102 'WSIEG1' 1 7 {'0 ' * 4}0.1 0.3 -0.5 1 0 0.25 1{' 0' * 10} 0.01{' 0' * 13} /": r"\(JBUS\) = 7",
+    f"102 'WSIEG1' 1 {'0 ' * 5}0.1 0.3 -0.5 1 0 0.25 1{' 0' * 10} 0.01 0.02{' 0' * 12} /": (
+        r"ERR = 0\.02, DB1 = 0\.01, allowed: ERR <= DB1; outside its deadband"
+    ),
     "102 'IEEEST' 1 1 7 0 0 0 0 0 0 0 0 0 0 5 10 3 0.1 -0.1 0 0 /": r"IEEEST field 2 \(BUS\) = 7, allowed: 0",
     "102 'PSSSIM' 1 1 34 30 5 6 7 8 100 20 0.06 0.04 0.08 0.04 1 -1 /": "GridPACK.*--leave-out PSSSIM",
     "102 'MAXEX2' 1 0 /": "'MAXEX2' .* excitation limiter, .*--leave-out MAXEX2 goes on without it",
@@ -218,3 +221,78 @@ def test_a_record_on_the_bus_frequency_goes_in_and_out(tmp_path: Path) -> None:
     assert "102 'IEEEST' '1' 2.0 0.0 " in dyr_of(case).text
     rest = operating_point(case).controls.of("stabilizer")[0].rest
     assert rest.instance.values["FBASE"] == case.frequency_hz and rest.output == 0.0
+
+
+WSIEG1 = {"K": 20.0, "T1": 0.0, "T2": 0.0, "T3": 0.1, "UO": 0.3, "UC": -0.5, "PMIN": 0.0, "PMAX": 1.0}
+WSIEG1 |= {"T4": 0.25, "K1": 0.3, "T5": 5.0, "K3": 0.7, "T6": 0.0, "K5": 0.0, "T7": 0.0, "K7": 0.0}
+
+
+def wsieg1_at_rest(**more: float) -> RestPoint:
+    model = library()["wsieg1"]
+    values = numbers_of(model.device, row_of(model.device, WSIEG1 | more), 100.0, 60.0)
+    return rest_of(model, values, {"slip": 0.0, "pe": 0.7}, 0.7, "test")
+
+
+@pytest.mark.parametrize(
+    ("err", "beyond"),
+    [(0.0, 0.001), (0.0004, 0.0016), (0.001, 0.001)],
+    ids=["no ERR", "a step", "ERR = DB1"],
+)
+def test_the_speed_deadband_of_wsieg1(err: float, beyond: float) -> None:
+    """Nothing within DB1; at twice DB1 the speed less DB1, or less ERR where it is given; to either side."""
+    point = wsieg1_at_rest(DB1=0.001, ERR=err)
+    for sign in (1.0, -1.0):
+        for slip, wanted in ((0.0009, 0.0), (0.002, beyond)):
+            seen = {"slip": sign * slip, "pe": 0.7}
+            signal = point.instance.run(point.states, seen)[0]["w"]
+            assert signal == pytest.approx(sign * 20.0 * wanted, rel=1e-12, abs=1e-15)
+
+
+def test_the_backlash_of_wsieg1_is_a_play_of_its_width() -> None:
+    """Against steps of 0.1 ms in which the valve behind the backlash is pushed along at once."""
+    width, stop, h = 0.01, 12.0, 1e-4
+    point = wsieg1_at_rest(DB2=width)
+    names = point.instance.state_names
+
+    def slip(t: float) -> float:
+        return 0.002 * np.sin(1.5 * t)
+
+    run = solve_ivp(
+        lambda t, x: point.instance.run(x, {"slip": slip(t), "pe": 0.7})[1],
+        (0.0, stop),
+        point.states,
+        rtol=1e-8,
+        atol=1e-10,
+        max_step=0.005,
+        t_eval=np.arange(0.0, stop, 0.5),
+    )
+    s = b = x4 = x5 = 0.7
+    seen = []
+    for k in range(int(stop / h)):
+        if k % int(0.5 / h) == 0:
+            seen.append((s, b, x4, x5))
+        s += h * float(np.clip((0.7 - 20.0 * slip(k * h) - b) / 0.1, -0.5, 0.3))
+        b = float(np.clip(b, s - width, s + width))
+        x4, x5 = x4 + h * (b - x4) / 0.25, x5 + h * (x4 - x5) / 5.0
+    exact = np.array(seen).T
+    ours = np.array([run.y[names.index(name)] for name in ("s", "b", "x4", "x5")])
+    assert np.ptp(exact[1]) > 0.05 and np.abs(exact[0] - exact[1]).max() == pytest.approx(width, rel=1e-6)
+    assert np.abs(ours - exact).max() < 1.5e-3
+
+
+@pytest.mark.slow
+def test_within_its_deadband_wsieg1_leaves_the_speed_alone(tmp_path: Path) -> None:
+    """There, by either deadband, the machine swings as without a governor; without them it does not."""
+    head = "0 0 20 0 0 0.1 0.3 -0.5 1 0 0.25 1 0 0 0 0 0 0 0 0 0 0"
+    curve = "0 0 0.3 0.3 0.5 0.5 0.7 0.7 1 1"
+
+    def swing(governor: str) -> complex:
+        A = state_matrix(case_with(SEXS + governor, tmp_path), default_cache())
+        return complex(next(pole for pole in np.linalg.eigvals(A) if pole.imag > 5.0))
+
+    bare, plain, first, second = (
+        swing(f"102 'WSIEG1' 1 {head} {deadbands} {curve} 0 /" if deadbands else "")
+        for deadbands in ("", "0 0 0", "0.0006 0 0", "0 0 0.005")
+    )
+    assert abs(plain - bare) > 0.1
+    assert first == pytest.approx(bare, rel=1e-7) and second == pytest.approx(bare, rel=1e-7)
