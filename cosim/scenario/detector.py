@@ -29,7 +29,8 @@ class DetectorTable(Table):
     file: Annotated[str, Field(examples=["detector.json"])] = ""
     range_pu: Annotated[float, Field(gt=0.0, examples=[0.05])] = 0.05  #: largest magnitude of a signal
     jump_pu_per_s: Annotated[float, Field(gt=0.0, examples=[0.24])] = 0.24  #: its largest change in a second
-    repeat_frames: Annotated[int, Field(ge=1)] = 10  #: equal frames in a row while others move: too many
+    #: frames in a row that are too many while others move: equal ones, or the same as earlier ones
+    repeat_frames: Annotated[int, Field(ge=1)] = 10
     #: largest distance of a signal's mean from the median of the others
     apart_pu: Annotated[float, Field(gt=0.0, examples=[0.001])] = 0.001
     #: share of what the others swing by which it may be further apart

@@ -15,7 +15,7 @@ from .variables import Block, Variable, VariableTable
 
 _FOLDER = Path(__file__).resolve().parents[1] / "c"
 #: what the integer output NAME_reason says, by its value
-REASONS = ("trusted", "lost", "range", "jump", "repeat", "apart", "pattern", "rough", "alone")
+REASONS = ("trusted", "lost", "range", "jump", "repeat", "apart", "pattern", "rough", "alone", "replay")
 WEAKEST = 0.05  #: singular value of a direction that the other signals show
 
 
@@ -143,7 +143,7 @@ def _parameters(signals: Sequence[str], patterns: Patterns | None) -> Iterator[V
         ):
             unit = "pu/s" if key == "jump" else "pu"
             yield Variable(f"{key}[{i}]", "parameter", text, unit=unit, start=start, min=0.0)
-    text = "Equal frames in a row that are too many"
+    text = "Frames in a row, equal or as they were before, that are too many"
     yield Variable("repeats", "parameter", text, type="Integer", start=10, min=1)
 
 

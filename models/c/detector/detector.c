@@ -2,6 +2,7 @@
 
 #include <math.h>
 #include <stdio.h>
+#include <string.h>
 
 #include "../block/sampled.h"
 #include "pattern.h"
@@ -323,6 +324,66 @@ static void compare_patterns(Block *b, const Patterns *patterns, double t)
         fail(b, named, t, REASON_PATTERN);
 }
 
+/* How many frames of a signal are newer than stamp c. */
+static size_t newer(const double *m, double c)
+{
+    const size_t count = frames(m);
+    size_t back = 0;
+
+    while (back < count && frame(m, back)[0] > c + SLACK) ++back;
+    return back;
+}
+
+/* Whether `count` frames, the newest of them `back` before the newest, have the same bits as those `lag` earlier. */
+static int comes_again(const double *m, size_t back, size_t count, size_t lag)
+{
+    if (back + lag + count > frames(m)) return 0;
+    for (size_t k = back; k < back + count; ++k)
+        if (memcmp(frame(m, k) + 1, frame(m, k + lag) + 1, sizeof(double)) != 0) return 0;
+    return 1;
+}
+
+/* Whether these frames move enough to be known again. */
+static int moved(const Block *b, const double *m, size_t back, size_t count)
+{
+    double least = INFINITY, most = -INFINITY;
+
+    if (back + count > frames(m)) return 0;
+    for (size_t k = back; k < back + count; ++k) {
+        least = fmin(least, frame(m, k)[1]);
+        most = fmax(most, frame(m, k)[1]);
+    }
+    return most - least > (double)count * b->p[P_MOVING];
+}
+
+/* Whether the frames of signal i up to stamp c are those of some time before, and those of another signal not. */
+static int replayed(const Block *b, size_t i, double c)
+{
+    const double *m = memory_of(b, i);
+    const size_t count = (size_t)b->ip[IP_REPEATS], back = newer(m, c);
+
+    if (!moved(b, m, back, count)) return 0;
+    for (size_t lag = 1; back + lag + count <= frames(m); ++lag) {
+        if (!comes_again(m, back, count, lag)) continue;
+        for (size_t j = 0; j < count_of(b); ++j) {
+            const double *other = memory_of(b, j);
+            const size_t start = newer(other, c);
+            if (j != i && trusted(b, j) && moved(b, other, start, count) && !comes_again(other, start, count, lag))
+                return 1;
+        }
+    }
+    return 0;
+}
+
+/* Looks in every signal for frames that come again, up to the newest stamp that all have reached. */
+static void compare_frames(Block *b, double t)
+{
+    const double c = (b->memory[M_STAMP] - 1.0) * b->p[P_INTERVAL];
+
+    for (size_t i = 0; i < count_of(b); ++i)
+        if (present(b, i, t) && replayed(b, i, c)) fail(b, i, t, REASON_REPLAY);
+}
+
 /* Compares the signals at every stamp that all of them have reached by time t. */
 static void compare(Block *b, double t)
 {
@@ -334,6 +395,7 @@ static void compare(Block *b, double t)
         if (present(b, i, t)) reached = fmin(reached, frame(memory_of(b, i), 0)[0]);
     if (isinf(reached)) return;
     reached = floor((reached + SLACK) / interval);
+    if (reached < m[M_STAMP]) return; /* no new stamp */
     if (reached - m[M_STAMP] >= (double)DETECTOR_FRAMES) { /* after a pause of all of them */
         m[M_STAMP] = reached;
         m[M_STAMPS] = 0.0;
@@ -348,10 +410,9 @@ static void compare(Block *b, double t)
         if (patterns.frames > 0 && fmod(m[M_STAMP] + 1.0, (double)patterns.frames) == 0.0)
             compare_patterns(b, &patterns, t);
     }
-    if (m[M_STAMPS] > 0.0) {
-        compare_means(b, t);
-        compare_bends(b, t);
-    }
+    compare_means(b, t);
+    compare_bends(b, t);
+    compare_frames(b, t);
 }
 
 BlockStatus block_step(Block *b, double t, double h, const double *u_poly, double *dy, BlockMessage *message)

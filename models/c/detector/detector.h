@@ -23,6 +23,12 @@
  *             > rough[i] + 2 max(mean of the same of u_j),   j another trusted signal
  *     alone   span(u_i) > alone (3 floor + max(span(u_j))), at every stamp of the last `average` seconds
  *
+ *     replay  the last `repeats` frames up to c have the same bits as those some number of frames before (the search
+ *             goes back over DETECTOR_FRAMES) and span more than `repeats` times `moving`, while those of another
+ *             trusted signal span as much and are not the same as that many frames before
+ *
+ * A swing that has become a cycle comes again in every signal: none is named.
+ *
  * A swing bends little from frame to frame and a disturbance bends few frames: noise bends all of them. What moves
  * one machine alone, and by how much, depends on the grid: `alone` comes with the patterns.
  *
@@ -41,7 +47,7 @@
  * Outputs of a step follow from the inputs where it begins.                                                 */
 #include "../block/block.h"
 
-enum { DETECTOR_SIGNALS = 32, DETECTOR_FRAMES = 128, DETECTOR_STAMPS = 256, DETECTOR_GAP = 5, DETECTOR_ROUGH = 50 };
+enum { DETECTOR_SIGNALS = 32, DETECTOR_FRAMES = 512, DETECTOR_STAMPS = 256, DETECTOR_GAP = 5, DETECTOR_ROUGH = 50 };
 /* Real inputs: the values, then the ages. */
 /* Real parameters: the common ones, then PER_SIGNAL of each signal. Integer parameter: IP_REPEATS. */
 enum { P_INTERVAL, P_WAIT, P_AVERAGE, P_RETURN, P_MOVING, P_SHARE, P_PATTERN, P_FLOOR, P_ALONE, P_SIGNAL };
@@ -50,7 +56,7 @@ enum { IP_REPEATS, IP_COUNT };
 /* Integer outputs: usable of each, trusted of each, reason of each, then the number of isolations so far. */
 enum {
     REASON_NONE, REASON_LOST, REASON_RANGE, REASON_JUMP, REASON_REPEAT, REASON_APART, REASON_PATTERN, REASON_ROUGH,
-    REASON_ALONE
+    REASON_ALONE, REASON_REPLAY
 };
 
 /* Discrete state: a head, then of each signal DM_COUNT numbers. */

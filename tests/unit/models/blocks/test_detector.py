@@ -18,6 +18,7 @@ SIGNALS = ("a", "b", "c", "d")
 FRAME_S = 0.02
 AMPLITUDE, MODE_HZ = 2e-3, 0.5  # 120 mHz at 60 Hz, one period is the mean's time
 AGE_S = {"a": 0.1, "b": 0.0, "c": 0.06, "d": 0.0}
+NOISE_PU = 1e-3 / 60.0 * np.random.default_rng(3).standard_normal((len(SIGNALS), 1000))
 Sent = Callable[[float, float], float]  # stamp and true value to what is sent
 
 
@@ -85,6 +86,60 @@ def test_each_test_names_the_signal_at_the_stated_frame(
     # what is compared at one stamp waits for the slowest of the signals, 0.1 s
     late_s = max(AGE_S.values()) if reason == "apart" else 0.0
     assert verdicts["b"][0][0] == pytest.approx(at_s + late_s, abs=FRAME_S + 1e-9)
+
+
+def true_noise(signal: str, s: float) -> float:
+    """The true value with noise of 1 mHz, the same at the same stamp."""
+    k = round(s / FRAME_S)
+    return true_value(signal, k * FRAME_S) + float(NOISE_PU[SIGNALS.index(signal), k])
+
+
+def noisy(wrong: dict[str, Sent]) -> dict[str, Sent]:
+    """Give noise to every signal that is not wrong."""
+    return {t: lambda s, v, name=t: true_noise(name, s) for t in SIGNALS} | wrong  # type: ignore[misc]
+
+
+def replay(signal: str, length_s: float, start_s: float = 3.0) -> Sent:
+    """Send what the signal was in the `length_s` before `start_s`, again and again from then on."""
+    length, begin = round(length_s / FRAME_S), round(start_s / FRAME_S)
+
+    def sent(s: float, v: float) -> float:
+        k = round(s / FRAME_S)
+        return true_noise(signal, s if k < begin else (begin - length + (k - begin) % length) * FRAME_S)
+
+    return sent
+
+
+@pytest.mark.parametrize("length_s", [0.12, 0.5, 1.5, 2.0])
+def test_a_replay_is_named_by_frames_that_come_again(detector: Path, length_s: float) -> None:
+    """The tenth frame that was there before; 2 s is the period, so that the replay is a right swing."""
+    verdicts = follow(detector, noisy({"b": replay("b", length_s)}))
+    at_s, reason = verdicts["b"][0]
+    assert reason == "replay"
+    # what is compared at one stamp waits for the slowest of the signals
+    assert at_s == pytest.approx(3.0 + 9 * FRAME_S + max(AGE_S.values()))
+    assert all(verdicts[s] == [] for s in "acd")
+
+
+def test_a_slow_replay_is_named_too(detector: Path) -> None:
+    """Nine seconds are sent again: the search goes back over 512 frames."""
+    verdicts = follow(detector, noisy({"b": replay("b", 9.0, 10.0)}), stop_s=12.0)
+    assert [why for _, why in verdicts["b"]] == ["replay"]
+    assert all(verdicts[s] == [] for s in "acd")
+
+
+def test_a_replay_of_two_names_both_and_a_cycle_of_all_names_none(detector: Path) -> None:
+    both = {s: replay(s, 1.5) for s in "ab"}
+    verdicts = follow(detector, noisy(both))
+    assert [verdicts[s][0][1] for s in "ab"] == ["replay", "replay"]
+    assert verdicts["c"] == verdicts["d"] == []
+    cycle = {s: replay(s, 2.0) for s in SIGNALS}
+    assert follow(detector, noisy(cycle)) == {s: [] for s in SIGNALS}
+
+
+def test_a_replay_at_rest_names_nobody(detector: Path) -> None:
+    """Frames without noise, all at rest: they come again in every signal, and do not move."""
+    assert follow(detector, {"b": lambda s, v: 0.0}, stop_s=1.0) == {s: [] for s in SIGNALS}
 
 
 def rough(random: np.random.Generator, rms: float, more_s: float = 1e9) -> Sent:
