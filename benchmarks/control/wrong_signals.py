@@ -120,7 +120,7 @@ def ambient(controller: str, design: Path, hours: float) -> None:
     x = np.zeros((len(step), RECORDS))
     stamps = int(hours * 3600.0 / INTERVAL_S / RECORDS)
     before = int(60.0 / INTERVAL_S)  # from rest to stationary
-    most: dict[str, list[float]] = {"pattern": [], "apart": [], "alone": [], "rough": []}
+    most: dict[str, list[float]] = {k: [] for k in ("pattern", "apart", "alone", "rough", "standing")}
     done, swing = -before, []
     while done < stamps:
         length = before if done < 0 else min(PART, stamps - done)
@@ -155,6 +155,9 @@ def compared(y: np.ndarray, patterns: Any) -> dict[str, float]:
     bends = np.abs(np.diff(y, n=2, axis=1))[:, : y.shape[1] // 50 * 50 - 50].reshape(len(y), -1, 50)
     bent, of_half = bends.mean(axis=2), np.median(bends, axis=2)
     result = {"pattern": float(scores(y, patterns).max()) / patterns.threshold}
+    level = np.sort(spans, axis=0)[-2]
+    lasts = np.lib.stride_tricks.sliding_window_view(level, int(15.0 / INTERVAL_S) * 2 // FRAMES)
+    result["standing"] = float(lasts.min(axis=1).max()) / 3e-4
     each: dict[str, list[float]] = {"apart": [], "alone": [], "rough": []}
     for i in range(len(y)):
         others = [j for j in range(len(y)) if j != i]

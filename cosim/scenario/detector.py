@@ -40,6 +40,10 @@ class DetectorTable(Table):
     average_s: Positive = 2.0  #: time over which means are taken: a period of the slowest swing, or more
     #: how long a signal passes every test before it is trusted again; twice as long each further time
     return_s: Annotated[float, Field(ge=0.0, examples=[5.0])] = 60.0
+    #: span of a swing that takes all signals out when it stands, whatever its cause; ambient noise with 4 mHz
+    #: rms between areas makes .06 false alarms in 30 days (benchmarks/control/wrong_signals.py)
+    standing_pu: Annotated[float, Field(gt=0.0, examples=[0.0003])] = 0.0003
+    standing_s: Positive = 15.0  #: how long such a swing stands before they are
     wait_s: Annotated[float, Field(ge=0.0)] = 1.0  #: signals later than this are not waited for
 
     def wrong(self, paths: Sequence[SignalPath], names: Collection[str]) -> Iterator[str]:
@@ -79,6 +83,8 @@ class DetectorTable(Table):
             "return_time": self.return_s,
             "moving": max(1e-6, 4.0 * quantum),  # the rounded top of a swing repeats, and is not stuck
             "share": self.apart_share,
+            "standing": self.standing_pu,
+            "standing_time": self.standing_s,
             "repeats": self.repeat_frames,
         }
         for i in range(1, len(paths) + 1):

@@ -17,6 +17,7 @@ from typing import Any
 from interarea.design.controllers.bank import ControllerBank
 from interarea.design.delay.signal_conditions import Condition
 from interarea.design.robust.operating_points import family_row, inter_area_band
+from interarea.models.blocks.detector import REASONS
 from interarea.models.case.case import Case
 from interarea.models.case.variants import operating_variant
 
@@ -29,6 +30,7 @@ from ..trajectory import Trajectory
 from .wrong_runs import LONG_S, STOP_S, WRONG_S, Judged, Signals, WrongRun, disturbances_of, signals_of
 
 RIGHT = "nothing wrong"
+_STANDING = REASONS.index("standing")
 NAMED_SHARE = 0.99  #: of the isolations, of the right signal
 
 
@@ -37,7 +39,8 @@ class WrongRow:
     """One run to `stop_s`. verdict : its first words; left_pu : span of what decides it in the last window.
 
     detected_s : from when the signal is wrong to its isolation; None: never. others : isolated though right.
-    without : verdict of the grid without control after the same disturbance.
+    stopped_s : from then to where a swing that stands took all signals out; None: never. without : verdict
+    of the grid without control after the same disturbance.
     """
 
     kind: str
@@ -52,6 +55,7 @@ class WrongRow:
     others: tuple[str, ...]
     without: str
     stop_s: float = STOP_S
+    stopped_s: float | None = None
 
     @property
     def stable(self) -> bool:
@@ -104,9 +108,9 @@ class WrongCertificate:
         """What breaks the certificate, a line each."""
         lines = [str(r) for r in self.rows if r.worse and (r.detector or r.kind == RIGHT)]
         lines += [
-            f"{r}: false alarm, {' and '.join(r.others)} isolated"
+            f"{r}: false alarm, {' and '.join(r.others) or 'all signals'} isolated"
             for r in self.rows
-            if r.kind == RIGHT and r.others
+            if r.kind == RIGHT and (r.others or r.stopped_s is not None)
         ]
         every, right = self.isolations
         if every and not right / every >= NAMED_SHARE:
@@ -156,6 +160,7 @@ HEADER = (
     "median (s)",
     "longest (s)",
     "others isolated",
+    "all out",
 )
 
 
@@ -170,6 +175,7 @@ def _cells(rows: Sequence[WrongRow]) -> Iterator[str]:
     yield f"{median(times):.2f}" if times else ""
     yield f"{max(times):.2f}" if times else ""
     yield str(sum(len(r.others) for r in watched))
+    yield str(sum(r.stopped_s is not None for r in watched))
 
 
 def points_of(case: Case) -> dict[str, Case]:
@@ -286,17 +292,32 @@ def _row(
     bare: Outcome,
 ) -> WrongRow:
     isolated: dict[str, float] = {}
+    stopped: list[float] = []
     if run.detector is not None:
         for s in run.latency_s_of:
             reason = data[f"detector.{s}_reason"]
-            if (reason > 0).any():
-                isolated[s] = float(data.time_s[(reason > 0).argmax()]) - WRONG_S
+            own, of_all = (reason > 0) & (reason != _STANDING), reason == _STANDING
+            if own.any():
+                isolated[s] = float(data.time_s[own.argmax()]) - WRONG_S
+            if of_all.any():
+                stopped.append(float(data.time_s[of_all.argmax()]) - WRONG_S)
     right = isolated.pop(names[1], None)
     v = outcome.verdict
     verdict, why, left = (LOST, "the run ended early", 0.0) if v is None else (v.name, v.why, v.last)
     without = LOST if bare.verdict is None else bare.verdict.name
     watched = run.detector is not None
-    return WrongRow(*names, watched, verdict, why, left, right, tuple(isolated), without, run.stop_s)
+    return WrongRow(
+        *names,
+        watched,
+        verdict,
+        why,
+        left,
+        right,
+        tuple(isolated),
+        without,
+        run.stop_s,
+        min(stopped, default=None),
+    )
 
 
 def _with_signal_out(

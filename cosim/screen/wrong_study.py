@@ -171,7 +171,7 @@ def summary_of(certificate: Mapping[str, Any]) -> dict[str, Any]:
     counts: dict[str, Any] = {"runs_of_each": sum(not row.detector for row in wrong)}
     for name, with_it in (("alone", False), ("watched", True)):
         counts[name] = _ends([row for row in wrong if row.detector is with_it])
-    counts["false_alarms"] = sum(bool(row.others) for row in right)
+    counts["false_alarms"] = sum(bool(row.others) or row.stopped_s is not None for row in right)
     counts["clean_runs"] = sum(row.detector for row in right)
     stable = all(one["stable"] for one in certificate["out"])
     left = min((one["inter_area"] for one in certificate["out"]), default=None)

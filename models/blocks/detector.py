@@ -15,7 +15,10 @@ from .variables import Block, Variable, VariableTable
 
 _FOLDER = Path(__file__).resolve().parents[1] / "c"
 #: what the integer output NAME_reason says, by its value
-REASONS = ("trusted", "lost", "range", "jump", "repeat", "apart", "pattern", "rough", "alone", "replay")
+REASONS = (
+    *("trusted", "lost", "range", "jump", "repeat", "apart"),
+    *("pattern", "rough", "alone", "replay", "standing"),
+)
 WEAKEST = 0.05  #: singular value of a direction that the other signals show
 
 
@@ -73,8 +76,9 @@ def detector_block(
     Boolean outputs: ``NAME_usable``, the flag is up and the signal is not isolated; ``NAME_trusted``, it is
     not isolated. Integer outputs: ``NAME_reason`` (`REASONS`) and ``isolations``, how many there were.
     patterns : how right signals move together; None: their patterns are not tested.
-    FMI parameters: ``interval``, ``wait``, ``average``, ``return_time`` (s), ``moving`` (pu), ``share``,
-    ``repeats``; of each signal ``range[i]``, ``jump[i]`` (a second), ``apart[i]``, ``rough[i]`` in its unit.
+    FMI parameters: ``interval``, ``wait``, ``average``, ``return_time``, ``standing_time`` (s), ``moving``,
+    ``standing`` (pu), ``share``, ``repeats``; of each signal ``range[i]``, ``jump[i]`` (a second),
+    ``apart[i]``, ``rough[i]`` in its unit.
 
     Raises
     ------
@@ -90,7 +94,7 @@ def detector_block(
         description="Detector of wrong signals: which of several measured frequencies are to be trusted",
         table=VariableTable([*_ports(signals), *_parameters(signals, patterns)]),
         data={} if patterns is None else patterns.data,
-        sources=(_FOLDER / "detector" / "detector.c", _FOLDER / "detector" / "pattern.c"),
+        sources=tuple(_FOLDER / "detector" / f"{part}.c" for part in ("step", "stamps", "pattern")),
         step_s=step_s,
         model_exchange=False,
         documentation={"Behaviour": _BEHAVIOUR},
@@ -132,6 +136,8 @@ def _parameters(signals: Sequence[str], patterns: Patterns | None) -> Iterator[V
         ("pattern", "Largest score against the patterns", "1", patterns.threshold if patterns else 1.0),
         ("floor", "What is left of a window anyhow", "pu", patterns.floor if patterns else 1.0),
         ("alone", "Largest share of the others' span", "1", patterns.alone if patterns else 1e9),
+        ("standing", "Span of a swing that all signals are taken out for when it stands", "pu", 3e-4),
+        ("standing_time", "How long it stands then", "s", 15.0),
     ):
         yield Variable(key, "parameter", text, unit=unit, start=start, min=0.0)
     for i, s in enumerate(signals, start=1):
@@ -151,5 +157,6 @@ _BEHAVIOUR = (
     "<p>Each frame of a signal is tested for its range, its change and repetition; the means of all signals "
     "over <code>average</code>, and how rough they are, are compared at the same stamps. A signal that fails "
     "is isolated until it has passed every test for <code>return_time</code>, twice as long each further "
-    "time. Outputs follow from the inputs at the beginning of a step.</p>"
+    "time. A swing that stands takes all signals out. Outputs follow from the inputs at the "
+    "beginning of a step.</p>"
 )

@@ -25,9 +25,9 @@
  *
  *     replay  the last `repeats` frames up to c have the same bits as those some number of frames before (the search
  *             goes back over DETECTOR_FRAMES) and span more than `repeats` times `moving`, while those of another
- *             trusted signal span as much and are not the same as that many frames before
+ *             trusted signal span as much and differ by more than `moving` from those as many frames before
  *
- * A swing that has become a cycle comes again in every signal: none is named.
+ * A swing that has become a cycle comes again, or nearly, in every signal: none is named.
  *
  * A swing bends little from frame to frame and a disturbance bends few frames: noise bends all of them. What moves
  * one machine alone, and by how much, depends on the grid: `alone` comes with the patterns.
@@ -37,6 +37,15 @@
  *     pattern sqrt(r^2 - r_i^2) / (floor + 3 r_i) > pattern, r_i the least; while one signal is isolated it alone is
  *             tested, while more are, or a flag is down, none
  *
+ * What no test can name shows in the end: a wrong signal keeps a swing alive. With level the second largest of the
+ * spans of the signals that are present and pass (of two or more; one of them may be the wrong one),
+ *
+ *     standing  level > standing for standing_time, its least value above STEADY of its largest
+ *
+ * takes all signals out at once, as if each were isolated: the grid is left to its own damping. They come back when
+ * return 2^(n-1) has passed, n the number of such stops, or as soon as the spans of all signals but one have risen to
+ * WORSE of what they were: then the controller was not the cause, and it is not stopped again before that time.
+ *
  * A signal that fails is isolated. It comes back when it has passed every test for return 2^(n - 1), n the number
  * of times it was isolated so far, at most 2^6 return. Of each signal
  *
@@ -45,27 +54,70 @@
  *     reason   one of REASON_
  *
  * Outputs of a step follow from the inputs where it begins.                                                 */
+#include <math.h>
+
 #include "../block/block.h"
 
 enum { DETECTOR_SIGNALS = 32, DETECTOR_FRAMES = 512, DETECTOR_STAMPS = 256, DETECTOR_GAP = 5, DETECTOR_ROUGH = 50 };
 /* Real inputs: the values, then the ages. */
 /* Real parameters: the common ones, then PER_SIGNAL of each signal. Integer parameter: IP_REPEATS. */
-enum { P_INTERVAL, P_WAIT, P_AVERAGE, P_RETURN, P_MOVING, P_SHARE, P_PATTERN, P_FLOOR, P_ALONE, P_SIGNAL };
+enum {
+    P_INTERVAL, P_WAIT, P_AVERAGE, P_RETURN, P_MOVING, P_SHARE, P_PATTERN, P_FLOOR, P_ALONE, P_STANDING,
+    P_STANDING_TIME, P_SIGNAL
+};
 enum { S_RANGE, S_JUMP, S_APART, S_ROUGH, PER_SIGNAL };
 enum { IP_REPEATS, IP_COUNT };
 /* Integer outputs: usable of each, trusted of each, reason of each, then the number of isolations so far. */
 enum {
     REASON_NONE, REASON_LOST, REASON_RANGE, REASON_JUMP, REASON_REPEAT, REASON_APART, REASON_PATTERN, REASON_ROUGH,
-    REASON_ALONE, REASON_REPLAY
+    REASON_ALONE, REASON_REPLAY, REASON_STANDING
 };
 
 /* Discrete state: a head, then of each signal DM_COUNT numbers. */
-enum { M_STAMP, M_STAMPS, M_ALARMS, M_SIGNALS };
+/* M_SINCE: stamps since which level is above `standing`, M_LEAST and M_MOST its range from there; M_STOPPED: whether
+ * all signals are out, M_STOPS how often so far, M_UNTIL the time that ends the last. */
+enum {
+    M_STAMP, M_STAMPS, M_ALARMS, M_SINCE, M_LEAST, M_MOST, M_STOPPED, M_STOPS, M_UNTIL, M_SIGNALS
+};
 enum {
     DM_ISOLATED, DM_REASON, DM_FAILED_AT, DM_FAILURES, DM_REPEATS, DM_MOVES, DM_FRAMES, DM_MEAN, DM_SPAN, DM_BEND, DM_ALONE,
+    DM_AT_STOP, /* span when all were taken out */
     DM_FRAME, /* stamp and value of each of the last frames */
     DM_ALIGNED = DM_FRAME + 2 * DETECTOR_FRAMES,
     DM_COUNT = DM_ALIGNED + DETECTOR_STAMPS
 };
+
+#define SLACK 1e-9 /* s; instants closer than this count as equal */
+#define MOST_FAILURES 7.0
+
+static inline double *memory_of(const Block *b, size_t i) { return b->memory + M_SIGNALS + DM_COUNT * i; }
+static inline const double *limits_of(const Block *b, size_t i) { return b->p + P_SIGNAL + PER_SIGNAL * i; }
+static inline size_t count_of(const Block *b) { return b->layout.n_iu; }
+static inline int trusted(const Block *b, size_t i) { return b->iu[i] && memory_of(b, i)[DM_ISOLATED] == 0.0; }
+
+/* Stamp and value of the frame that is `back` before the newest. */
+static inline const double *frame(const double *m, size_t back)
+{
+    const size_t number = (size_t)m[DM_FRAMES] - 1 - back;
+    return m + DM_FRAME + 2 * (number % DETECTOR_FRAMES);
+}
+
+static inline size_t frames(const double *m)
+{
+    return m[DM_FRAMES] < (double)DETECTOR_FRAMES ? (size_t)m[DM_FRAMES] : DETECTOR_FRAMES;
+}
+
+/* Signal i fails a test at time t. */
+static inline void detector_fail(Block *b, size_t i, double t, int reason)
+{
+    double *m = memory_of(b, i);
+
+    m[DM_FAILED_AT] = t;
+    if (m[DM_ISOLATED] != 0.0) return;
+    m[DM_ISOLATED] = 1.0;
+    m[DM_REASON] = (double)reason;
+    m[DM_FAILURES] = fmin(m[DM_FAILURES] + 1.0, MOST_FAILURES);
+    b->memory[M_ALARMS] += 1.0;
+}
 
 #endif

@@ -57,7 +57,9 @@ def made_of(*rows: WrongRow) -> WrongCertificate:
         (replace(ROW, verdict=LOST, detector=False), False),  # tolerance alone is shown, not asked
         (replace(ROW, kind=RIGHT, signal="", verdict=GROWING, detector=False), True),
         (replace(ROW, kind=RIGHT, signal="", detected_s=None, others=("G4_dw",)), True),
+        (replace(ROW, kind=RIGHT, signal="", detected_s=None, stopped_s=16.0), True),
         (replace(ROW, detected_s=None, others=("G4_dw",)), True),  # names another signal
+        (replace(ROW, detected_s=None, stopped_s=16.0), False),  # a swing that stands is no signal's name
     ],
 )
 def test_what_breaks_the_certificate(row: WrongRow, broken: bool) -> None:
@@ -75,10 +77,10 @@ def test_the_table_counts_runs() -> None:
         ROW,
         replace(ROW, detected_s=0.6),
         replace(ROW, detector=False, verdict=LOST),
-        replace(ROW, detected_s=None),
+        replace(ROW, detected_s=None, stopped_s=16.0),
     ]
     alone, watched, *rest = made_of(*rows).table()[0][3:]
-    assert (alone, watched, rest) == ("1, 0", "0, 0", ["2", "0.40", "0.60", "0"])
+    assert (alone, watched, rest) == ("1, 0", "0, 0", ["2", "0.40", "0.60", "0", "1"])
 
 
 @pytest.mark.slow

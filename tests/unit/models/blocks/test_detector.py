@@ -43,7 +43,7 @@ def follow(
     """Send frames; of each signal every change of its reason, with the time of its last frame then."""
     changes: dict[str, list[tuple[float, str]]] = {s: [] for s in SIGNALS}
     with Runner(path) as run:
-        run.start({"average": 2.0, **parameters})
+        run.start({"average": 2.0, "standing_time": 10.0, **parameters})
         for k in range(round(stop_s / FRAME_S)):
             t = k * FRAME_S
             for s in SIGNALS:
@@ -123,7 +123,7 @@ def test_a_replay_is_named_by_frames_that_come_again(detector: Path, length_s: f
 
 def test_a_slow_replay_is_named_too(detector: Path) -> None:
     """Nine seconds are sent again: the search goes back over 512 frames."""
-    verdicts = follow(detector, noisy({"b": replay("b", 9.0, 10.0)}), stop_s=12.0)
+    verdicts = follow(detector, noisy({"b": replay("b", 9.0, 10.0)}), 12.0, standing_time=99.0)
     assert [why for _, why in verdicts["b"]] == ["replay"]
     assert all(verdicts[s] == [] for s in "acd")
 
@@ -222,3 +222,35 @@ def test_parameters_that_cannot_be(detector: Path, keys: dict[str, float], says:
 def test_signals_that_cannot_be() -> None:
     with pytest.raises(ValueError, match="allowed: 1 to 32 different names"):
         detector_block(["a", "a"])
+
+
+def swing_of_all(size: Callable[[float], float]) -> dict[str, Sent]:
+    """All signals swing as `true_value` does, by `size` of the time."""
+    return {name: lambda s, v: v * size(s) for name in SIGNALS}
+
+
+def test_a_swing_that_stands_takes_all_signals_out(detector: Path) -> None:
+    """Ten seconds after the span has come to .6 of its last; the swing ends without the controller."""
+    ends = swing_of_all(lambda s: 1.0 if s < 12.5 else math.exp(12.5 - s))
+    verdicts = follow(detector, ends, 20.0, return_time=5.0)
+    for name, changes in verdicts.items():
+        # what is compared waits for the slowest signal, the time is that of the signal's own last frame
+        assert [why for _, why in changes] == ["standing", "trusted"], name
+        assert 11.5 < changes[0][0] < 12.5  # the swing begins at 1 s and has its span at 2.5 s
+        assert changes[1][0] - changes[0][0] == pytest.approx(5.0, abs=FRAME_S)
+
+
+@pytest.mark.parametrize(
+    "size", [lambda s: 0.05, lambda s: math.exp(-0.1 * s), lambda s: 0.2 if s < 9.0 else 1.0]
+)
+def test_a_small_a_falling_or_a_new_swing_does_not(detector: Path, size: Callable[[float], float]) -> None:
+    """It spans 2e-4, or falls to .37 of itself in ten seconds, or has risen to five times itself in them."""
+    assert follow(detector, swing_of_all(size), 18.0) == {s: [] for s in SIGNALS}
+
+
+def test_signals_come_back_at_once_when_the_swing_grows_without_them(detector: Path) -> None:
+    grows = swing_of_all(lambda s: 1.0 if s < 12.5 else 2.0)
+    verdicts = follow(detector, grows, 30.0)
+    for changes in verdicts.values():
+        assert [why for _, why in changes] == ["standing", "trusted"]  # once: then not for 60 s
+        assert 12.5 < changes[1][0] < 14.5

@@ -1,19 +1,9 @@
-#include "detector.h"
-
 #include <math.h>
 #include <stdio.h>
-#include <string.h>
 
 #include "../block/sampled.h"
 #include "pattern.h"
-
-static const double SLACK = 1e-9; /* s; instants closer than this count as equal */
-static const double MOST_FAILURES = 7.0;
-
-static double *memory_of(const Block *b, size_t i) { return b->memory + M_SIGNALS + DM_COUNT * i; }
-static const double *limits_of(const Block *b, size_t i) { return b->p + P_SIGNAL + PER_SIGNAL * i; }
-static size_t count_of(const Block *b) { return b->layout.n_iu; }
-static int trusted(const Block *b, size_t i) { return b->iu[i] && memory_of(b, i)[DM_ISOLATED] == 0.0; }
+#include "stamps.h"
 
 BlockStatus block_needs(const Record *record, const BlockLayout *l, BlockNeeds *needs, BlockMessage *message)
 {
@@ -40,8 +30,8 @@ static const char *wrong(const Block *b)
         return "average must lie in 1 to 256 intervals";
     if (!(p[P_WAIT] >= 0.0 && p[P_RETURN] >= 0.0 && p[P_MOVING] >= 0.0 && p[P_SHARE] >= 0.0))
         return "wait, return_time, moving and share must not be negative";
-    for (int k = P_PATTERN; k <= P_ALONE; ++k)
-        if (!(p[k] > 0.0)) return "pattern, floor and alone must be positive";
+    for (int k = P_PATTERN; k <= P_STANDING_TIME; ++k)
+        if (!(p[k] > 0.0)) return "pattern, floor, alone, standing and standing_time must be positive";
     if (!(b->ip[IP_REPEATS] >= 1)) return "repeats must be at least 1";
     for (size_t i = 0; i < count_of(b); ++i)
         for (int k = 0; k < PER_SIGNAL; ++k)
@@ -63,31 +53,6 @@ BlockStatus block_start(Block *b, double t, BlockMessage *message)
     return BLOCK_OK;
 }
 
-/* Signal i fails a test at time t. */
-static void fail(Block *b, size_t i, double t, int reason)
-{
-    double *m = memory_of(b, i);
-
-    m[DM_FAILED_AT] = t;
-    if (m[DM_ISOLATED] != 0.0) return;
-    m[DM_ISOLATED] = 1.0;
-    m[DM_REASON] = (double)reason;
-    m[DM_FAILURES] = fmin(m[DM_FAILURES] + 1.0, MOST_FAILURES);
-    b->memory[M_ALARMS] += 1.0;
-}
-
-/* Stamp and value of the frame that is `back` before the newest. */
-static const double *frame(const double *m, size_t back)
-{
-    const size_t number = (size_t)m[DM_FRAMES] - 1 - back;
-    return m + DM_FRAME + 2 * (number % DETECTOR_FRAMES);
-}
-
-static size_t frames(const double *m)
-{
-    return m[DM_FRAMES] < (double)DETECTOR_FRAMES ? (size_t)m[DM_FRAMES] : DETECTOR_FRAMES;
-}
-
 static int another_moves(const Block *b, size_t i)
 {
     for (size_t j = 0; j < count_of(b); ++j)
@@ -101,17 +66,17 @@ static void test_frame(Block *b, size_t i, double t)
     double *m = memory_of(b, i);
     const double *now = frame(m, 0), *limits = limits_of(b, i);
 
-    if (!(fabs(now[1]) <= limits[S_RANGE])) fail(b, i, t, REASON_RANGE);
+    if (!(fabs(now[1]) <= limits[S_RANGE])) detector_fail(b, i, t, REASON_RANGE);
     if (frames(m) < 2) return;
     const double *before = frame(m, 1);
     const double passed = now[0] - before[0], change = fabs(now[1] - before[1]);
 
     if (passed <= (double)DETECTOR_GAP * b->p[P_INTERVAL] + SLACK && !(change <= limits[S_JUMP] * passed))
-        fail(b, i, t, REASON_JUMP);
+        detector_fail(b, i, t, REASON_JUMP);
     m[DM_MOVES] = change > b->p[P_MOVING] ? 1.0 : 0.0;
     if (change > 0.0) m[DM_REPEATS] = 0.0;
     else if (another_moves(b, i)) m[DM_REPEATS] += 1.0;
-    if (m[DM_REPEATS] >= (double)b->ip[IP_REPEATS]) fail(b, i, t, REASON_REPEAT);
+    if (m[DM_REPEATS] >= (double)b->ip[IP_REPEATS]) detector_fail(b, i, t, REASON_REPEAT);
 }
 
 /* Takes the value that signal i has at time t, if it is a new frame. */
@@ -151,140 +116,6 @@ static double value_at(const Block *b, const double *m, double c)
     return NAN;
 }
 
-/* Mean and span over the last `count` stamps; NAN where more than a quarter of them lacks a value. */
-static void average(double *m, size_t newest, size_t count)
-{
-    double sum = 0.0, least = INFINITY, most = -INFINITY;
-    size_t known = 0;
-
-    for (size_t back = 0; back < count; ++back) {
-        const double value = m[DM_ALIGNED + (newest - back) % DETECTOR_STAMPS];
-        if (isnan(value)) continue;
-        sum += value;
-        least = fmin(least, value);
-        most = fmax(most, value);
-        ++known;
-    }
-    m[DM_MEAN] = 4 * known >= 3 * count && known > 0 ? sum / (double)known : NAN;
-    m[DM_SPAN] = most - least;
-}
-
-/* By how much the mean of signal i is apart from the others, over what is allowed; NAN: fewer than two others. */
-static double apart(const Block *b, size_t i)
-{
-    double *sorted = b->scratch, span = 0.0;
-    size_t count = 0;
-
-    for (size_t j = 0; j < count_of(b); ++j) {
-        const double mean = memory_of(b, j)[DM_MEAN];
-        size_t k = count;
-        if (j == i || !trusted(b, j) || isnan(mean)) continue;
-        for (; k > 0 && sorted[k - 1] > mean; --k) sorted[k] = sorted[k - 1];
-        sorted[k] = mean;
-        span = fmax(span, memory_of(b, j)[DM_SPAN]);
-        ++count;
-    }
-    if (count < 2) return NAN;
-    return fabs(memory_of(b, i)[DM_MEAN] - 0.5 * (sorted[(count - 1) / 2] + sorted[count / 2]))
-           / (limits_of(b, i)[S_APART] + b->p[P_SHARE] * span);
-}
-
-/* The largest number `what` of the memories of the other trusted signals; 0: there is none. */
-static double most_of_others(const Block *b, size_t i, int what)
-{
-    double most = 0.0;
-
-    for (size_t j = 0; j < count_of(b); ++j)
-        if (j != i && trusted(b, j) && memory_of(b, j)[what] > most) most = memory_of(b, j)[what];
-    return most;
-}
-
-/* By how much a signal bends at the stamp `back` before the newest; NAN where a value is missing. */
-static double bend(const double *m, size_t newest, size_t back)
-{
-    const double *u = m + DM_ALIGNED;
-    const size_t c = newest - back;
-
-    return fabs(u[c % DETECTOR_STAMPS] - 2.0 * u[(c - 1) % DETECTOR_STAMPS] + u[(c - 2) % DETECTOR_STAMPS]);
-}
-
-/* Of the last bends the number that is known, the mean of these, and how many are larger than a limit. */
-static size_t bends(const double *m, size_t newest, double limit, double *mean, size_t *larger)
-{
-    size_t known = 0;
-    double sum = 0.0;
-
-    *larger = 0;
-    for (size_t back = 0; back < DETECTOR_ROUGH; ++back) {
-        const double value = bend(m, newest, back);
-        if (isnan(value)) continue;
-        sum += value;
-        *larger += value > limit;
-        ++known;
-    }
-    *mean = known > 0 ? sum / (double)known : 0.0;
-    return known;
-}
-
-/* Compares how rough the signals are. */
-static void compare_bends(Block *b, double t)
-{
-    const size_t newest = (size_t)b->memory[M_STAMPS] - 1;
-    size_t known, larger;
-    double mean;
-
-    if (newest + 1 < DETECTOR_ROUGH + 2) return;
-    for (size_t i = 0; i < count_of(b); ++i) {
-        double *m = memory_of(b, i);
-        (void)bends(m, newest, 0.0, m + DM_BEND, &larger);
-    }
-    for (size_t i = 0; i < count_of(b); ++i) {
-        const double limit = limits_of(b, i)[S_ROUGH] + 2.0 * most_of_others(b, i, DM_BEND);
-        if (!b->iu[i] || 2.0 * memory_of(b, i)[DM_BEND] <= limit) continue; /* so is the median */
-        known = bends(memory_of(b, i), newest, limit, &mean, &larger);
-        if (4 * known >= 3 * DETECTOR_ROUGH && 2 * larger > known) fail(b, i, t, REASON_ROUGH);
-    }
-}
-
-/* Compares the spans over the last `count` stamps, which they have done for as many. */
-static void compare_spans(Block *b, double t, size_t count)
-{
-    const double stamps = b->memory[M_STAMPS];
-    size_t others = 0;
-
-    for (size_t i = 0; i < count_of(b); ++i) others += trusted(b, i) && !isnan(memory_of(b, i)[DM_MEAN]);
-    for (size_t i = 0; i < count_of(b); ++i) {
-        double *m = memory_of(b, i);
-        const double most = b->p[P_ALONE] * (3.0 * b->p[P_FLOOR] + most_of_others(b, i, DM_SPAN));
-        if (others < 3 || !b->iu[i] || isnan(m[DM_MEAN]) || !(m[DM_SPAN] > most)) m[DM_ALONE] = 0.0;
-        else if (m[DM_ALONE] == 0.0) m[DM_ALONE] = stamps;
-        else if (stamps - m[DM_ALONE] + 1.0 >= (double)count) fail(b, i, t, REASON_ALONE);
-    }
-}
-
-/* Compares the means over the last stamps. */
-static void compare_means(Block *b, double t)
-{
-    const size_t count = (size_t)(b->p[P_AVERAGE] / b->p[P_INTERVAL] + 0.5), newest = (size_t)b->memory[M_STAMPS] - 1;
-    size_t furthest = 0;
-    double most = 0.0;
-
-    if (newest + 1 < count) return;
-    for (size_t i = 0; i < count_of(b); ++i) average(memory_of(b, i), newest, count);
-    for (size_t i = 0; i < count_of(b); ++i) {
-        const double ratio = apart(b, i);
-        if (!(ratio > 1.0)) continue;
-        if (!trusted(b, i)) {
-            if (b->iu[i]) fail(b, i, t, REASON_APART);
-        } else if (ratio > most) {
-            most = ratio;
-            furthest = i;
-        }
-    }
-    if (most > 1.0) fail(b, furthest, t, REASON_APART);
-    compare_spans(b, t, count);
-}
-
 /* The mean over `count` stamps, the newest of them `back` before the newest. */
 static double block_mean(const Block *b, size_t i, size_t back, size_t count)
 {
@@ -321,7 +152,7 @@ static void compare_patterns(Block *b, const Patterns *patterns, double t)
     }
     allowed = b->p[P_PATTERN] * (b->p[P_FLOOR] + 3.0 * least);
     if (whole * whole - least * least > allowed * allowed)
-        fail(b, named, t, REASON_PATTERN);
+        detector_fail(b, named, t, REASON_PATTERN);
 }
 
 /* How many frames of a signal are newer than stamp c. */
@@ -334,12 +165,12 @@ static size_t newer(const double *m, double c)
     return back;
 }
 
-/* Whether `count` frames, the newest of them `back` before the newest, have the same bits as those `lag` earlier. */
-static int comes_again(const double *m, size_t back, size_t count, size_t lag)
+/* Whether `count` frames, the newest of them `back` before the newest, differ by no more from those `lag` earlier. */
+static int comes_again(const double *m, size_t back, size_t count, size_t lag, double most)
 {
     if (back + lag + count > frames(m)) return 0;
     for (size_t k = back; k < back + count; ++k)
-        if (memcmp(frame(m, k) + 1, frame(m, k + lag) + 1, sizeof(double)) != 0) return 0;
+        if (!(fabs(frame(m, k)[1] - frame(m, k + lag)[1]) <= most)) return 0;
     return 1;
 }
 
@@ -364,11 +195,12 @@ static int replayed(const Block *b, size_t i, double c)
 
     if (!moved(b, m, back, count)) return 0;
     for (size_t lag = 1; back + lag + count <= frames(m); ++lag) {
-        if (!comes_again(m, back, count, lag)) continue;
+        if (!comes_again(m, back, count, lag, 0.0)) continue;
         for (size_t j = 0; j < count_of(b); ++j) {
             const double *other = memory_of(b, j);
             const size_t start = newer(other, c);
-            if (j != i && trusted(b, j) && moved(b, other, start, count) && !comes_again(other, start, count, lag))
+            if (j != i && trusted(b, j) && moved(b, other, start, count)
+                && !comes_again(other, start, count, lag, b->p[P_MOVING]))
                 return 1;
         }
     }
@@ -381,7 +213,7 @@ static void compare_frames(Block *b, double t)
     const double c = (b->memory[M_STAMP] - 1.0) * b->p[P_INTERVAL];
 
     for (size_t i = 0; i < count_of(b); ++i)
-        if (present(b, i, t) && replayed(b, i, c)) fail(b, i, t, REASON_REPLAY);
+        if (present(b, i, t) && replayed(b, i, c)) detector_fail(b, i, t, REASON_REPLAY);
 }
 
 /* Compares the signals at every stamp that all of them have reached by time t. */
@@ -415,21 +247,34 @@ static void compare(Block *b, double t)
     compare_frames(b, t);
 }
 
+/* Why signal i cannot be used: its own reason before that of all. */
+static int reason_of(const Block *b, size_t i, int stopped)
+{
+    const double *m = memory_of(b, i);
+
+    if (m[DM_ISOLATED] != 0.0) return (int)m[DM_REASON];
+    if (!b->iu[i]) return REASON_LOST;
+    return stopped ? REASON_STANDING : REASON_NONE;
+}
+
 BlockStatus block_step(Block *b, double t, double h, const double *u_poly, double *dy, BlockMessage *message)
 {
     const size_t n = count_of(b);
+    int stopped;
 
     (void)h, (void)dy, (void)message;
     for (size_t i = 0; i < n; ++i) receive(b, i, t, u_poly);
     compare(b, t);
+    if (t >= b->memory[M_UNTIL] - SLACK) b->memory[M_STOPPED] = 0.0;
+    stopped = b->memory[M_STOPPED] != 0.0;
     for (size_t i = 0; i < n; ++i) {
         double *m = memory_of(b, i);
         const double passed = t - m[DM_FAILED_AT];
         if (m[DM_ISOLATED] != 0.0 && passed >= b->p[P_RETURN] * ldexp(1.0, (int)m[DM_FAILURES] - 1) - SLACK)
             m[DM_ISOLATED] = m[DM_REPEATS] = 0.0;
-        b->iy[i] = trusted(b, i);
-        b->iy[n + i] = m[DM_ISOLATED] == 0.0;
-        b->iy[2 * n + i] = m[DM_ISOLATED] != 0.0 ? (int)m[DM_REASON] : b->iu[i] ? REASON_NONE : REASON_LOST;
+        b->iy[i] = trusted(b, i) && !stopped;
+        b->iy[n + i] = m[DM_ISOLATED] == 0.0 && !stopped;
+        b->iy[2 * n + i] = reason_of(b, i, stopped);
     }
     b->iy[3 * n] = (int)b->memory[M_ALARMS];
     return BLOCK_OK;

@@ -1,0 +1,199 @@
+#include "stamps.h"
+
+/* A swing whose span falls by less than this in `standing_time` stands: at 0.6 Hz and 15 s a damping of 0.9 %. */
+static const double STEADY = 0.6;
+static const double WORSE = 1.5; /* rise of the span after a stop that beats and noise do not make */
+
+/* Mean and span over the last `count` stamps; NAN where more than a quarter of them lacks a value. */
+static void average(double *m, size_t newest, size_t count)
+{
+    double sum = 0.0, least = INFINITY, most = -INFINITY;
+    size_t known = 0;
+
+    for (size_t back = 0; back < count; ++back) {
+        const double value = m[DM_ALIGNED + (newest - back) % DETECTOR_STAMPS];
+        if (isnan(value)) continue;
+        sum += value;
+        least = fmin(least, value);
+        most = fmax(most, value);
+        ++known;
+    }
+    m[DM_MEAN] = 4 * known >= 3 * count && known > 0 ? sum / (double)known : NAN;
+    m[DM_SPAN] = most - least;
+}
+
+/* By how much the mean of signal i is apart from the others, over what is allowed; NAN: fewer than two others. */
+static double apart(const Block *b, size_t i)
+{
+    double *sorted = b->scratch, span = 0.0;
+    size_t count = 0;
+
+    for (size_t j = 0; j < count_of(b); ++j) {
+        const double mean = memory_of(b, j)[DM_MEAN];
+        size_t k = count;
+        if (j == i || !trusted(b, j) || isnan(mean)) continue;
+        for (; k > 0 && sorted[k - 1] > mean; --k) sorted[k] = sorted[k - 1];
+        sorted[k] = mean;
+        span = fmax(span, memory_of(b, j)[DM_SPAN]);
+        ++count;
+    }
+    if (count < 2) return NAN;
+    return fabs(memory_of(b, i)[DM_MEAN] - 0.5 * (sorted[(count - 1) / 2] + sorted[count / 2]))
+           / (limits_of(b, i)[S_APART] + b->p[P_SHARE] * span);
+}
+
+/* The largest number `what` of the memories of the other trusted signals; 0: there is none. */
+static double most_of_others(const Block *b, size_t i, int what)
+{
+    double most = 0.0;
+
+    for (size_t j = 0; j < count_of(b); ++j)
+        if (j != i && trusted(b, j) && memory_of(b, j)[what] > most) most = memory_of(b, j)[what];
+    return most;
+}
+
+/* By how much a signal bends at the stamp `back` before the newest; NAN where a value is missing. */
+static double bend(const double *m, size_t newest, size_t back)
+{
+    const double *u = m + DM_ALIGNED;
+    const size_t c = newest - back;
+
+    return fabs(u[c % DETECTOR_STAMPS] - 2.0 * u[(c - 1) % DETECTOR_STAMPS] + u[(c - 2) % DETECTOR_STAMPS]);
+}
+
+/* Of the last bends the number that is known, the mean of these, and how many are larger than a limit. */
+static size_t bends(const double *m, size_t newest, double limit, double *mean, size_t *larger)
+{
+    size_t known = 0;
+    double sum = 0.0;
+
+    *larger = 0;
+    for (size_t back = 0; back < DETECTOR_ROUGH; ++back) {
+        const double value = bend(m, newest, back);
+        if (isnan(value)) continue;
+        sum += value;
+        *larger += value > limit;
+        ++known;
+    }
+    *mean = known > 0 ? sum / (double)known : 0.0;
+    return known;
+}
+
+/* Compares how rough the signals are. */
+void compare_bends(Block *b, double t)
+{
+    const size_t newest = (size_t)b->memory[M_STAMPS] - 1;
+    size_t known, larger;
+    double mean;
+
+    if (newest + 1 < DETECTOR_ROUGH + 2) return;
+    for (size_t i = 0; i < count_of(b); ++i) {
+        double *m = memory_of(b, i);
+        (void)bends(m, newest, 0.0, m + DM_BEND, &larger);
+    }
+    for (size_t i = 0; i < count_of(b); ++i) {
+        const double limit = limits_of(b, i)[S_ROUGH] + 2.0 * most_of_others(b, i, DM_BEND);
+        if (!b->iu[i] || 2.0 * memory_of(b, i)[DM_BEND] <= limit) continue; /* so is the median */
+        known = bends(memory_of(b, i), newest, limit, &mean, &larger);
+        if (4 * known >= 3 * DETECTOR_ROUGH && 2 * larger > known) detector_fail(b, i, t, REASON_ROUGH);
+    }
+}
+
+/* Compares the spans over the last `count` stamps, which they have done for as many. */
+static void compare_spans(Block *b, double t, size_t count)
+{
+    const double stamps = b->memory[M_STAMPS];
+    size_t others = 0;
+
+    for (size_t i = 0; i < count_of(b); ++i) others += trusted(b, i) && !isnan(memory_of(b, i)[DM_MEAN]);
+    for (size_t i = 0; i < count_of(b); ++i) {
+        double *m = memory_of(b, i);
+        const double most = b->p[P_ALONE] * (3.0 * b->p[P_FLOOR] + most_of_others(b, i, DM_SPAN));
+        if (others < 3 || !b->iu[i] || isnan(m[DM_MEAN]) || !(m[DM_SPAN] > most)) m[DM_ALONE] = 0.0;
+        else if (m[DM_ALONE] == 0.0) m[DM_ALONE] = stamps;
+        else if (stamps - m[DM_ALONE] + 1.0 >= (double)count) detector_fail(b, i, t, REASON_ALONE);
+    }
+}
+
+/* The second largest span of the signals that are present and pass; of one alone its own. */
+static double level_of(const Block *b)
+{
+    double largest = 0.0, second = 0.0;
+    size_t count = 0;
+
+    for (size_t i = 0; i < count_of(b); ++i) {
+        const double *m = memory_of(b, i);
+        if (!trusted(b, i) || isnan(m[DM_MEAN])) continue;
+        ++count;
+        second = fmax(second, fmin(m[DM_SPAN], largest));
+        largest = fmax(largest, m[DM_SPAN]);
+    }
+    return count > 1 ? second : largest;
+}
+
+/* Whether the swing has grown since the signals were taken out: the spans of all, but for one that may be wrong. */
+static int grown(const Block *b)
+{
+    size_t count = 0, larger = 0;
+
+    for (size_t i = 0; i < count_of(b); ++i) {
+        const double *m = memory_of(b, i);
+        if (!trusted(b, i) || isnan(m[DM_MEAN])) continue;
+        ++count;
+        larger += m[DM_SPAN] > WORSE * m[DM_AT_STOP];
+    }
+    return larger > 0 && larger + 1 >= count;
+}
+
+/* Starts to watch a swing at the newest stamp. */
+static void watch_from(double *m, double level)
+{
+    m[M_SINCE] = m[M_STAMPS];
+    m[M_LEAST] = m[M_MOST] = level;
+}
+
+/* Takes all signals out while a swing stands, and gives them back when it grows without them. */
+static void watch_swing(Block *b, double t)
+{
+    const double level = level_of(b);
+    double *m = b->memory;
+
+    if (m[M_STOPPED] != 0.0 && grown(b)) m[M_STOPPED] = 0.0;
+    m[M_LEAST] = fmin(m[M_LEAST], level);
+    m[M_MOST] = fmax(m[M_MOST], level);
+    if (!(level > b->p[P_STANDING]) || t < m[M_UNTIL] - SLACK || !(m[M_LEAST] > STEADY * m[M_MOST])) {
+        watch_from(m, level);
+        return;
+    }
+    if ((m[M_STAMPS] - m[M_SINCE]) * b->p[P_INTERVAL] < b->p[P_STANDING_TIME] - SLACK) return;
+    watch_from(m, level);
+    m[M_STOPPED] = 1.0;
+    for (size_t i = 0; i < count_of(b); ++i) memory_of(b, i)[DM_AT_STOP] = memory_of(b, i)[DM_SPAN];
+    m[M_UNTIL] = t + b->p[P_RETURN] * ldexp(1.0, (int)m[M_STOPS]);
+    m[M_STOPS] = fmin(m[M_STOPS] + 1.0, MOST_FAILURES - 1.0);
+    m[M_ALARMS] += 1.0;
+}
+
+/* Compares the means over the last stamps. */
+void compare_means(Block *b, double t)
+{
+    const size_t count = (size_t)(b->p[P_AVERAGE] / b->p[P_INTERVAL] + 0.5), newest = (size_t)b->memory[M_STAMPS] - 1;
+    size_t furthest = 0;
+    double most = 0.0;
+
+    if (newest + 1 < count) return;
+    for (size_t i = 0; i < count_of(b); ++i) average(memory_of(b, i), newest, count);
+    for (size_t i = 0; i < count_of(b); ++i) {
+        const double ratio = apart(b, i);
+        if (!(ratio > 1.0)) continue;
+        if (!trusted(b, i)) {
+            if (b->iu[i]) detector_fail(b, i, t, REASON_APART);
+        } else if (ratio > most) {
+            most = ratio;
+            furthest = i;
+        }
+    }
+    if (most > 1.0) detector_fail(b, furthest, t, REASON_APART);
+    compare_spans(b, t, count);
+    watch_swing(b, t);
+}
