@@ -8,7 +8,7 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator, ConfigDict, Field, ValidationInfo
 from pydantic_core import PydanticCustomError
 
-from ..devices.language.device import OF_SVC
+from ..devices.language.device import OF_CONVERTER, OF_SVC
 from ..devices.language.structure import Model
 from ..devices.library import NONE, device_model
 from ..devices.rows import numbers_of, row_of
@@ -79,7 +79,7 @@ def _control(word: str, kind: str | None) -> Any:
         try:
             if not isinstance(chosen, str):
                 raise DeviceError(f"{word} {chosen!r} does not exist")
-            kinds = OF_SVC if word in OF_SVC else word
+            kinds = {"svc": OF_SVC, "converter": OF_CONVERTER}.get(word, word)
             return rest | row_of(device_model(chosen, kinds, info.context or NONE).device, provided)
         except DeviceError as error:
             text = str(error)

@@ -385,8 +385,8 @@ class Tcsc(Row):
 class Converter(Row):
     """A converter plant, such as solar or wind: P and Q at a bus that its control moves.
 
-    In the power flow it gives `P_mw` and `Q_mvar`; the control rests at the currents that these ask for, per
-    unit on `base_mva`, which is that of all its parameters.
+    In the power flow it gives `P_mw` and `Q_mvar`; the control rests at the currents, or the voltage of
+    its source, that these ask for, per unit on `base_mva`, which is that of all its parameters.
     """
 
     name: Annotated[str, Field(strict=True, max_length=64, pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]  #: its id

@@ -19,7 +19,7 @@ Array = npt.NDArray[np.float64]
 #: a machine at 0.82 pu of power and 1 pu of voltage; its phasors fit each other
 POINT = {"vt": 1.0, "vd": 0.6, "vq": 0.8, "id": 0.7, "iq": 0.5, "pe": 0.82, "slip": 0.0, "ifd": 1.9}
 POINT |= {"vc": 1.0, "vs": 0.0, "pm": 0.82, "efd": 1.8, "p_mod": 0.0, "q_mod": 0.0, "p": 0.4, "q": 0.1}
-POINT |= {"b": 0.1, "i": 0.1, "ip": 0.4, "vdr": 1.04, "vdi": 1.0, "idc": 1.0}
+POINT |= {"b": 0.1, "i": 0.1, "ip": 0.4, "vdr": 1.04, "vdi": 1.0, "idc": 1.0, "delta": 0.3}
 #: kind -> what is stepped and by how much
 STEPS = {
     "exciter": ("vref", 0.01),
@@ -30,6 +30,7 @@ STEPS = {
     "statcom": ("vref", 0.01),
     "converter": ("pref", 0.01),
     "hvdc": ("pset", 0.01),
+    "source": ("p", 0.01),
 }
 _RTOL, _ATOL = 1e-8, 1e-10
 
@@ -81,6 +82,8 @@ def response_of(
         seen["ip"], inputs["iq"] = seen["p"] / seen["vt"], seen["q"] / seen["vt"]
     if device.kind == "hvdc":  # it rests at its current, at any angles
         inputs |= {"iord": seen["idc"], "xr": 0.3, "xi": 0.3}
+    if device.kind == "source":
+        inputs["e"] = 1.05
     output = seen[kind.output] if device.references else None
     try:
         row = row_of(device, provided)

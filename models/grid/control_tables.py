@@ -11,7 +11,7 @@ import numpy.typing as npt
 from ..case.case import Case, CaseError
 from ..case.control_schema import Control, control_model, control_numbers
 from ..devices.c_expression import given_rows
-from ..devices.language.device import AT_BUS, KINDS, OF_MACHINE, OF_SVC
+from ..devices.language.device import AT_BUS, KINDS, OF_CONVERTER, OF_MACHINE, OF_SVC
 from ..devices.language.expression import Node
 from ..devices.language.structure import Model
 from ..devices.rest import BEYOND, RestPoint, rest_of
@@ -70,7 +70,7 @@ class Device:
 
         These have several set-points, of which the plant would find only one anew.
         """
-        if self.word in ("converter", "hvdc"):
+        if self.word in (*OF_CONVERTER, "hvdc"):
             return
         instance = self.rest.instance
         device, used = instance.model.device, instance.used() - self._coupling_names()
@@ -181,7 +181,7 @@ class Controls:
         for d in self.devices:
             if d.word == "exciter":
                 result.append(Given(d.prefix.removesuffix(".exciter"), "vs", d.place))
-            elif d.word == "converter":
+            elif d.word in OF_CONVERTER:
                 result += [Given(d.prefix, "p_mod", d.place), Given(d.prefix, "q_mod", places + d.place)]
             elif d.word == "hvdc":
                 result.append(Given(d.prefix, "p_mod", d.place))
@@ -268,7 +268,9 @@ def row_name(case: Case, place: int, word: str) -> str:
 
 def table_of(kind: str) -> str:
     """Return the table of a case whose rows have devices of a kind."""
-    return "machines" if kind in OF_MACHINE else "svcs" if kind in OF_SVC else f"{kind}s"
+    if kind in OF_MACHINE:
+        return "machines"
+    return "svcs" if kind in OF_SVC else "converters" if kind in OF_CONVERTER else f"{kind}s"
 
 
 def rests_of(
@@ -300,13 +302,17 @@ def rests_of(
     for k, (row_at, bus) in enumerate(zip(case.at_buses, buses, strict=True), start=len(points)):
         model = model_at_bus(row_at, own)
         kind, share = model.device.kind, row_at.base_mva / case.base_mva
-        output, given = bus.output(kind, share), bus.given(kind, share)
         who = f"{case.name}: {table_of(kind)}.{row_at.name}.control"
         numbers = control_numbers(model, row_at.control, row_at.base_mva, case.frequency_hz)
+        if isinstance(bus, BusPoint) and kind == "source":
+            behind = complex(float(numbers["Re"]), float(numbers["Xe"]))
+            output, given = bus.output(kind, share, behind), bus.given(kind, share, behind)
+        else:
+            output, given = bus.output(kind, share), bus.given(kind, share)
         rest = _rest_of(model, numbers, given, output, who, row_at.name, "control", room)
         rests.append((k, kind, rest))
         at = {"vt": bus.seen, "out": output}
-        if kind == "converter":  # where plant/flow/flow.h has them
+        if kind in OF_CONVERTER:  # where plant/flow/flow.h has them
             at |= {"pe": given["p"], "ifd": given["q"]}
         elif kind == "hvdc":
             at |= {"pe": given["vdi"]}

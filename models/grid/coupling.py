@@ -6,6 +6,7 @@ plant/numbers/layout.h, equations in plant/machine/bus_device.h.
 
 from __future__ import annotations
 
+import cmath
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -16,15 +17,15 @@ from ..case.case import Case
 from ..case.hvdc_schema import Hvdc
 from ..case.schema import Converter, Svc
 from ..devices.instance import Instance
-from ..devices.language.device import KINDS, OF_SVC, Device
+from ..devices.language.device import KINDS, OF_CONVERTER, OF_SVC, Device
 from ..devices.language.expression import evaluate
 from ..devices.language.structure import Model
 from ..devices.library import device_model
 from ..errors import DeviceError
 from .dc_link import LinkPoint, link_point, link_ports
 
-NOTHING, SUSCEPTANCE, CURRENT, CONVERTER = 0, 1, 2, 3  #: CouplingKind
-COUPLINGS = {"svc": SUSCEPTANCE, "statcom": CURRENT, "converter": CONVERTER}
+NOTHING, SUSCEPTANCE, CURRENT, CONVERTER, SOURCE = 0, 1, 2, 3, 6  #: CouplingKind
+COUPLINGS = {"svc": SUSCEPTANCE, "statcom": CURRENT, "converter": CONVERTER, "source": SOURCE}
 LOW_PU = 0.1  #: below, a current falls with the voltage: one that holds at zero volts has no solution
 _STATES = ("lag", "integrator")  #: elements whose output is a state
 
@@ -37,18 +38,30 @@ class BusPoint:
     own: float
     q: float  #: reactive power into the network, base of the case
     p: float = 0.0  #: active power into the network, base of the case
+    angle: float = 0.0  #: of its bus, rad
 
-    def output(self, kind: str, share: float) -> float:
-        """Return what the device gives, pu of its base; `share`: its base over that of the case."""
+    def source(self, share: float, impedance: complex) -> complex:
+        """Return the voltage behind the `impedance` of a source, pu of its base."""
+        current = complex(self.p, -self.q) / self.own / share
+        return cmath.rect(1.0, self.angle) * (self.own + impedance * current)
+
+    def output(self, kind: str, share: float, impedance: complex = 0.0) -> float:
+        """Return what the device gives, pu of its base, of a source its angle, rad.
+
+        share : its base over that of the case. impedance : of a source, pu of its base.
+        """
+        if kind == "source":
+            return cmath.phase(self.source(share, impedance))
         power = self.p if kind == "converter" else self.q
         return power / self.own ** (2 if COUPLINGS[kind] == SUSCEPTANCE else 1) / share
 
-    def given(self, kind: str, share: float) -> dict[str, float]:
-        """Return what the device sees, of a converter also its reactive current."""
-        if kind != "converter":
+    def given(self, kind: str, share: float, impedance: complex = 0.0) -> dict[str, float]:
+        """Return what the device sees, of a converter also its reactive current, of a source its voltage."""
+        if kind not in OF_CONVERTER:
             return {"vt": self.seen, "vs": 0.0}
         p, q = self.p / share, self.q / share
-        return {"vt": self.seen, "p": p, "q": q, "p_mod": 0.0, "q_mod": 0.0, "iq": q / self.own}
+        own = {"iq": q / self.own} if kind == "converter" else {"e": abs(self.source(share, impedance))}
+        return {"vt": self.seen, "p": p, "q": q, "p_mod": 0.0, "q_mod": 0.0, **own}
 
 
 @dataclass(frozen=True)
@@ -61,12 +74,12 @@ class Coupling:
     second: str = ""  #: state of the reactive current of a converter
     gain: tuple[float, float] = (-2.0, -1.0)  #: voltages between which its active current rises from 0
     taken: tuple[float, float, float] = (1e3, 0.0, -1e3)  #: voltage above which, how much, not below
-    values: Mapping[str, float] = field(default_factory=dict)  #: of a dc link: the numbers of its device
+    values: Mapping[str, float] = field(default_factory=dict)  #: of a dc link or source: those of its device
 
 
 def model_at_bus(row: Svc | Converter | Hvdc, own: Mapping[str, Model]) -> Model:
     """Return the device of a row; DeviceError where there is none of that name."""
-    kinds = OF_SVC if isinstance(row, Svc) else "converter" if isinstance(row, Converter) else "hvdc"
+    kinds = OF_SVC if isinstance(row, Svc) else OF_CONVERTER if isinstance(row, Converter) else "hvdc"
     return device_model(row.control.kind, kinds, own)
 
 
@@ -131,6 +144,8 @@ def coupling_of(instance: Instance) -> Coupling:
             )
     if device.kind == "hvdc":
         return Coupling(state, 1.0, 0.0, values=instance.values)
+    if device.kind == "source":
+        return Coupling(state, 1.0, 0.0, states[1], values=instance.values)
     if len(states) > 1:
         return Coupling(state, 1.0, 0.0, states[1], *_port_numbers(instance))
     if state == device.output:
@@ -179,7 +194,11 @@ def device_ports(
         output = share * at_rest[KINDS[kind].output]
         row = [state, share * c.scale, share * c.bias, COUPLINGS[kind], output]
         rows.append([k, 1.0, index[svc.bus], *row, (k + 1.0) * here, LOW_PU])
-        if c.second:
+        if kind == "source":
+            y = share / complex(c.values["Re"], c.values["Xe"])
+            rows[-1] += [state_names.index(f"{svc.name}.{c.second}"), 0.0]
+            rows[-1] += [y.real, y.imag, share * c.values["Imax"]]
+        elif c.second:
             level, slope, least = c.taken
             rows[-1] += [state_names.index(f"{svc.name}.{c.second}"), share * at_rest[c.second]]
             rows[-1] += [*c.gain, level, share * slope, share * least]
@@ -201,7 +220,11 @@ def bus_points(
         link_point(s, float(size[index[s.bus]]), float(size[index[s.seen_bus]]))
         if isinstance(s, Hvdc)
         else BusPoint(
-            float(size[index[s.seen_bus]]), float(size[index[s.bus]]), float(s_k.imag), float(s_k.real)
+            float(size[index[s.seen_bus]]),
+            float(size[index[s.bus]]),
+            float(s_k.imag),
+            float(s_k.real),
+            float(np.angle(voltages[index[s.bus]])),
         )
         for s, s_k in zip(case.at_buses, power, strict=True)
     )

@@ -6,6 +6,7 @@ GENROU, GENROE  -> round_rotor; X''q = X''d, Ra from the RAW file; saturation of
 GENSAL, GENSAE  -> round_rotor without Tq01: one winding on the q axis;
                    saturation of E'q on the d axis, GENSAE: of the subtransient flux on both axes.
 GENCLS          -> classical behind ZR + jZX of the RAW file; with H = 0 an infinite bus there.
+REGFMA1         -> a converter's voltage behind ZR + jZX of the RAW file.
 controls        -> devices of the package, by their `[dyr]` tables (models/devices).
 """
 
@@ -18,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from ..devices.dyr import device_for_dyr, dyr_models, own_records
+from ..devices.language.device import OF_CONVERTER
 from ..devices.language.structure import Model
 from ..devices.library import NONE
 from ..errors import CaseError, nearest
@@ -29,11 +31,11 @@ from .report import Report
 MACHINE = "machine model"
 ROUNDED = 5e-4  #: pu by which X''d may stand above X'd in a file: both have so few digits
 #: machine models that are converters
-CONVERTERS = frozenset(
-    ["REGCA1", "REGCB1", "REGCC1", "GDFORM", "WT1G1", "WT2G1", "WT3G1", "WT3G2", "WT4G1", "WT4G2", "PVGU1"]
-)
+_CONVERTERS = "REGCA1 REGCB1 REGCC1 GDFORM REGFMA1 WT1G1 WT2G1 WT3G1 WT3G2 WT4G1 WT4G2 PVGU1"
+CONVERTERS = frozenset(_CONVERTERS.split())
 
 CONVERTER = "converter"  #: kind of the devices of these
+SOURCE = "source"  #: kind of those that are a voltage behind ZR + jZX of the RAW file, one record each
 SVC = "svc"  #: kind of the devices of units that are SVCs
 #: of a converter: one record of each
 _PARTS = ((("REGCA1",), "is the converter itself"), (("REECB1", "REECA1"), "sets its currents"))
@@ -178,7 +180,9 @@ def machine_dynamics(
     units.check_converters()
     units.check_svcs()
     units.take_the_rest(1.0 if converters_as_current else 0.0)
-    converters = {n: {"control": row[CONVERTER]} for n, row in units.rows.items() if CONVERTER in row}
+    converters = {
+        n: {"control": row[kind]} for n, row in units.rows.items() for kind in OF_CONVERTER if kind in row
+    }
     svcs = {n: {"control": row[SVC], **units.regulated(n)} for n, row in units.rows.items() if SVC in row}
     machines = units.rows.keys() - units.constant.keys() - converters.keys() - svcs.keys()
     rows = {name: row for name, row in units.rows.items() if name in machines}
@@ -241,6 +245,9 @@ class _Units:
         elif kind == MACHINE:
             self.where[name] = record.where
             self.rows[name] |= row
+        elif kind == SOURCE:
+            self.where[name] = record.where
+            self.rows[name][kind] = {"source": f"{self.path.name}, {record.model}", **row}
         elif kind == SVC:
             self.where[name], self.records[name] = record.where, record
             self.rows[name][kind] = {"source": f"{self.path.name}, {record.model}", **row}
@@ -251,15 +258,16 @@ class _Units:
     def check_converters(self) -> None:
         """Check that each converter has what sets its currents, and nothing that belongs to a machine."""
         for name, row in self.rows.items():
-            if CONVERTER not in row:
+            kind = next((kind for kind in OF_CONVERTER if kind in row), None)
+            if kind is None:
                 continue
             place = next(at for (unit, _), at in self.seen.items() if unit == name)
-            for models, does in _PARTS:
+            for models, does in _PARTS if kind == CONVERTER else ():
                 seen = [model for model in models if (name, model) in self.seen]
                 if len(seen) != 1:
                     has = f"no {' or '.join(models)}, which {does}" if not seen else f"{' and '.join(seen)}"
                     raise CaseError(f"{place}: {name} has {has}, allowed: one{_CURRENTS}")
-            others = row.keys() - {CONVERTER}
+            others = row.keys() - {kind}
             if others:
                 what = f"{sorted(others)[0]!r} beside a converter"
                 raise CaseError(f"{place}: {name} has {what}, allowed: records of one of both")

@@ -12,11 +12,12 @@ from typing import Any
 from ..case.case import Case, case_of, devices_of
 from ..case.document import with_device_texts
 from ..case.hvdc_schema import Hvdc
+from ..devices.library import keys_of
 from ..errors import CaseError
 from ..grid.dc_link import link_point
 from ..grid.powerflow import solve_powerflow
 from .document import case_name, document_of, load_exponents, unit_names
-from .dynamics import Dynamics, machine_dynamics, read_dynamics, replaced
+from .dynamics import SOURCE, Dynamics, machine_dynamics, read_dynamics, replaced
 from .imported import Imported
 from .load_records import take_load_records
 from .places import read_places
@@ -99,6 +100,7 @@ def import_psse(
         if len(dynamics.no_machines) == len(names):
             raise CaseError(f"{dyr}: no machine model for any unit of {path.name}, allowed: at least one")
         _compare_reactances(grid, names, dynamics, report)
+        _take_impedances(grid, names, dynamics)
         grid.source += f" and {Path(dyr).name}"
     links = take_links(grid, solution.voltages, report, as_power=dc_lines_as_power)
     exponents = load_exponents(P_exponent, Q_exponent, grid, report, str(path))
@@ -156,6 +158,15 @@ def _take_rows(document: dict[str, Any], dynamics: Dynamics) -> None:
     for table, rows in tables.items():
         for key, row in rows.items():
             document[table][key] |= row
+
+
+def _take_impedances(grid: StaticGrid, names: Sequence[str], dynamics: Dynamics) -> None:
+    """Put the impedance of each unit that is a voltage source into its row."""
+    sources = keys_of(SOURCE)
+    for unit, name in zip(grid.units, names, strict=True):
+        control = dynamics.converters.get(name, {}).get("control", {})
+        if control.get("kind") in sources:
+            control |= {"Re": max(unit.r, 0.0), "Xe": unit.x}
 
 
 def _compare_reactances(grid: StaticGrid, names: Sequence[str], dynamics: Dynamics, report: Report) -> None:

@@ -83,9 +83,30 @@ KINDS: dict[str, Kind] = {
         ("iord", "xr", "xi"),
         ("KPR", "KPI", "MARGIN", "KM"),
     ),
+    "source": Kind(
+        {
+            "vt": "voltage of its bus, pu",
+            "p": "active power into the network, pu of its base",
+            "q": "reactive power into the network, pu of its base",
+            "p_mod": "modulation of the active power, pu of its base",
+            "q_mod": "modulation where the reactive or voltage reference is added, pu of its base",
+        },
+        "delta",
+        ("pset", "vset"),
+        "angle `delta`, rad, and size `e`, pu, of the voltage behind a grid-forming converter's impedance",
+        ("e",),
+        ("Re", "Xe", "Imax"),
+    ),
 }
-AT_BUS = ("svc", "statcom", "converter", "hvdc")  #: kinds of devices at a bus; the others belong to a machine
+AT_BUS = (
+    "svc",
+    "statcom",
+    "converter",
+    "hvdc",
+    "source",
+)  #: kinds of devices at a bus; the others belong to a machine
 OF_SVC = ("svc", "statcom")  #: kinds of the table svcs
+OF_CONVERTER = ("converter", "source")  #: kinds of the table converters
 OF_MACHINE = tuple(kind for kind in KINDS if kind not in AT_BUS)
 MBASE = "MBASE"  #: MVA base of the machine or of the device at a bus, known to every device
 FBASE = "FBASE"  #: nominal frequency of the grid in Hz, known to every device

@@ -189,8 +189,8 @@ static void see_voltages(const real *memory, const Plan *plan, const num *x, Wor
             continue;
         }
         w->vt[at] = v;
-        if (coupling != COUPLING_CONVERTER) continue;
-        bus_device_power(row, x, w->port.v_re[p], w->port.v_im[p], &w->pe[at], &w->ifd[at]);
+        if (coupling != COUPLING_CONVERTER && coupling != COUPLING_SOURCE) continue;
+        bus_device_power(row, x, w->sine[at], w->cosine[at], w->port.v_re[p], w->port.v_im[p], &w->pe[at], &w->ifd[at]);
         w->pe[at] = num_ratio(w->pe[at], NUM(row[P_SCALE]));
         w->ifd[at] = num_ratio(w->ifd[at], NUM(row[P_SCALE]));
     }
@@ -212,6 +212,20 @@ static void turn_frame(const real *memory, const Plan *plan, MachineStates state
     for (size_t k = 0; k < plan->n_machine; ++k) w->turn[k] = value_at(w->centre, memory[plan->part + k]);
 }
 
+/* Angles of the voltage sources at buses, in the frame in which their network is solved. */
+static void turn_sources(const real *memory, const Plan *plan, const num *x, Work *w)
+{
+    for (size_t k = plan->n_machine; k < plan->n_place; ++k) w->sine[k] = w->cosine[k] = NUM(0.0);
+    for (size_t p = 0; plan->n_at_bus > 0 && p < plan->n_port; ++p) {
+        const real *row = memory + plan->port + P_ROWS * p;
+        if (!port_is_device(row) || index_at(row, P_COUPLING) != COUPLING_SOURCE) continue;
+        const size_t k = plan->n_machine + index_at(row, P_DEVICE);
+        const real part = memory[plan->bus_part + index_at(row, P_BUS)];
+        const num turn = plan->folded > 0 ? value_at(w->turn, part) : NUM(0.0);
+        num_sincos(x[index_at(row, P_STATE)] - turn, &w->sine[k], &w->cosine[k]);
+    }
+}
+
 /* Returns 0, or 1 + the port where Newton's method fails. */
 static size_t solve_network(real *memory, const Plan *plan, const Pattern *pattern, const num *x, Work *w)
 {
@@ -220,6 +234,7 @@ static size_t solve_network(real *memory, const Plan *plan, const Pattern *patte
 
     if (plan->folded > 0) turn_frame(memory, plan, machines.x, w);
     EVERY_MACHINE(machine_emf, plan, w, &machines);
+    turn_sources(memory, plan, x, w);
     if (is_sparse(plan)) stuck = solve_sparse(memory, plan, pattern, x, w);
     else if (plan->n_port > 0) stuck = solve_ports(memory, plan, x, NULL, w->newton, w);
     if (stuck > 0) return stuck;
@@ -290,7 +305,7 @@ static void solve_devices(const real *memory, const Plan *plan, const num *x, co
     const Machines machines = machines_of(memory, plan, x, w);
     const DeviceSignals signals = { w->vt, w->vd, w->vq, w->id, w->iq, w->pe, machines.x.slip, w->ifd,
                                     memory + plan->pm_step, w->vc, w->vs, w->pm, w->efd, w->out, w->out, w->out,
-                                    w->out, w->pe, w->ifd, w->vs, w->vc, w->vt, w->pe };
+                                    w->out, w->out, w->pe, w->ifd, w->vs, w->vc, w->vt, w->pe };
 
     for (size_t k = 0; k < n; ++k) {
         w->efd[k] = NUM(table[M_EFD0 * n + k]);

@@ -22,7 +22,10 @@ static num device_shown(const real *memory, const Plan *plan, size_t kind, size_
 {
     const real *row = memory + plan->port + P_ROWS * of;
     num p = NUM(0.0), q = NUM(0.0);
-    if (port_is_device(row)) bus_device_power(row, x, w->port.v_re[of], w->port.v_im[of], &p, &q);
+    if (port_is_device(row)) {
+        const size_t k = plan->n_machine + index_at(row, P_DEVICE);
+        bus_device_power(row, x, w->sine[k], w->cosine[k], w->port.v_re[of], w->port.v_im[of], &p, &q);
+    }
     return kind == SHOW_DEVICE_P ? p : q;
 }
 

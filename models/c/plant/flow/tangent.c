@@ -8,16 +8,16 @@ static const double H = 0x1p-100;
 
 /* Port voltages with their slopes: V fixed as solved, the step moves what the
  * linear network and the injections give; dV = (1 - Z dJ/dV)^-1 of that. linear: what the network gives without the
- * ports, or null where the columns of all sources are kept. space: 2 n_machine + 4 n_port^2 + 4 n_port doubles. */
+ * ports, or null where the columns of all sources are kept. space: 2 n_place + 4 n_port^2 + 4 n_port doubles. */
 static size_t port_solve_tangent(const double *memory, const Plan *plan, const num *x, const num *linear, double *space,
                                  Work *w)
 {
-    const size_t n = plan->n_port, m = plan->n_machine;
+    const size_t n = plan->n_port, m = plan->n_machine, all = plan->n_place;
     const double *v = memory + plan->port_v;
-    double *sine = space, *cosine = sine + m, *inverse = cosine + m;
+    double *sine = space, *cosine = sine + all, *inverse = cosine + all;
     double *order = inverse + 4 * n * n, *moved = order + 2 * n;
 
-    for (size_t k = 0; k < m; ++k) {
+    for (size_t k = 0; k < all; ++k) {
         sine[k] = creal(w->sine[k]);
         cosine[k] = creal(w->cosine[k]);
     }
@@ -201,6 +201,7 @@ size_t plant_device_slopes(double *memory, const int32_t *places, const BlockLay
     for (size_t k = 0; k < layout->n_u; ++k) input[k] = with_slope(u[k], H * vu[k]);
     /* the frame has turned by nothing at rest, and stands while the states move */
     EVERY_MACHINE(machine_emf, plan, &w, &machines);
+    turn_sources(memory, plan, z, &w);
     inject_apart(memory, plan, z, volts, volts + sources, &w);
     solve_terminals(memory, plan, &machines, z, &w);
     solve_rates(memory, plan, z, input, rates, &w);

@@ -9,9 +9,28 @@
  *     converter (REGC_A)      I = (g(|V|) ip - j (iq - h(|V|))) V/u, ip and iq two states times scale: g rises from
  *                             0 at P_ZERO to 1 at P_FULL, h by P_TAKEN above P_HIGH, where iq - h stops at P_LEAST
  *     rectifier, inverter     the ends of a dc link (dc_link.h)
+ *     source (REGFM_A1)       I = (E - V)/(R + jX), E by two states, its angle and its size; beyond P_MOST that much
+ *                             of it, as if E moved to V + (R + jX) I
  *     none                    0: the voltage there is measured only
  *
- * The current turns with V, so the frame of folded ports (port.h) does not matter. */
+ * The current turns with V, so the frame of folded ports (port.h) does not matter; of a source the angle in that frame
+ * is given (sine, cosine). */
+
+/* Of a source with voltage e; how much of it the limit leaves into `share`. */
+static inline void source_current(const real *row, num e, num sine, num cosine, num v_re, num v_im, num *i_re, num *i_im,
+                                  num *share)
+{
+    const num re = e * cosine - v_re, im = e * sine - v_im, one = NUM(1.0), most = NUM(row[P_MOST]);
+    const num g = NUM(row[P_COND]), b = NUM(row[P_SUSC]);
+
+    *i_re = g * re - b * im;
+    *i_im = g * im + b * re;
+    const num size = num_sqrt(*i_re * *i_re + *i_im * *i_im);
+    const flag beyond = num_above(most, NUM(0.0)) & num_above(size, most);
+    *share = num_pick(beyond, num_ratio(most, num_pick(beyond, size, one)), one);
+    *i_re *= *share;
+    *i_im *= *share;
+}
 
 /* Of a converter the current along and across V; ip, iq: system base. */
 static inline void converter_current(const real *row, num ip, num iq, num v, num *along, num *across)
@@ -25,12 +44,19 @@ static inline void converter_current(const real *row, num ip, num iq, num v, num
 }
 
 /* Current the port injects at the bus voltage v. */
-static inline void bus_device_injection(const real *row, const num *x, num v_re, num v_im, num *i_re, num *i_im)
+static inline void bus_device_injection(const real *row, const num *x, num sine, num cosine, num v_re, num v_im,
+                                        num *i_re, num *i_im)
 {
     const size_t coupling = index_at(row, P_COUPLING);
     const flag on = num_above(NUM(row[P_ON]), NUM(0.5));
     num along = NUM(0.0), across = NUM(0.0);
 
+    if (coupling == COUPLING_SOURCE) {
+        source_current(row, x[index_at(row, P_STATE_Q)], sine, cosine, v_re, v_im, i_re, i_im, &along);
+        *i_re = num_pick(on, *i_re, NUM(0.0));
+        *i_im = num_pick(on, *i_im, NUM(0.0));
+        return;
+    }
     if (coupling != COUPLING_NONE) {
         const num y = row[P_SCALE] * x[index_at(row, P_STATE)] + row[P_BIAS];
         across = -y;
@@ -54,10 +80,11 @@ static inline void bus_device_injection(const real *row, const num *x, num v_re,
 }
 
 /* Active and reactive power into the network, system base. */
-static inline void bus_device_power(const real *row, const num *x, num v_re, num v_im, num *p, num *q)
+static inline void bus_device_power(const real *row, const num *x, num sine, num cosine, num v_re, num v_im, num *p,
+                                    num *q)
 {
     num i_re, i_im;
-    bus_device_injection(row, x, v_re, v_im, &i_re, &i_im);
+    bus_device_injection(row, x, sine, cosine, v_re, v_im, &i_re, &i_im);
     *p = v_re * i_re + v_im * i_im;
     *q = v_im * i_re - v_re * i_im;
 }
@@ -89,14 +116,41 @@ static inline void converter_slope(const double *row, double ip, double iq, doub
                       taken && -across > row[P_LEAST] && row[P_TAKEN] > 0.0 ? row[P_TAKEN] : 0.0, v_re, v_im, row[P_LOW], d);
 }
 
-/* d (i_re, i_im) / d (v_re, v_im), row by row. x: of a complex step two numbers each, hence the stride; null: at rest. */
-static inline void bus_device_slope(const double *row, const double *x, size_t stride, double v_re, double v_im,
-                                    double d[4])
+/* Of a source: -1/(R + jX), and while its limit acts what is left of that across the current. */
+static inline void source_slope(const double *row, double e, double sine, double cosine, double v_re, double v_im,
+                                double d[4])
+{
+    double i_re, i_im, share;
+
+    source_current(row, e, sine, cosine, v_re, v_im, &i_re, &i_im, &share);
+    d[0] = d[3] = -row[P_COND] * share;
+    d[1] = row[P_SUSC] * share;
+    d[2] = -d[1];
+    if (!(share < 1.0)) return;
+    const double most = row[P_MOST], re = i_re / most, im = i_im / most;
+    for (size_t k = 0; k < 2; ++k) {
+        const double along = re * d[k] + im * d[2 + k];
+        d[k] -= re * along;
+        d[2 + k] -= im * along;
+    }
+}
+
+/* d (i_re, i_im) / d (v_re, v_im), row by row. x: of a complex step two numbers each, hence the stride; null: at rest,
+ * where no limit acts and sine and cosine are not read. */
+static inline void bus_device_slope(const double *row, const double *x, size_t stride, const double *sine,
+                                    const double *cosine, double v_re, double v_im, double d[4])
 {
     const size_t coupling = index_at(row, P_COUPLING);
 
     d[0] = d[1] = d[2] = d[3] = 0.0;
     if (coupling == COUPLING_NONE || !(row[P_ON] > 0.5)) return;
+    if (coupling == COUPLING_SOURCE) {
+        d[0] = d[3] = -row[P_COND];
+        d[1] = row[P_SUSC];
+        d[2] = -d[1];
+        if (x != NULL) source_slope(row, x[stride * index_at(row, P_STATE_Q)], *sine, *cosine, v_re, v_im, d);
+        return;
+    }
     const double y = x == NULL ? row[P_REST] : row[P_SCALE] * x[stride * index_at(row, P_STATE)] + row[P_BIAS];
     if (coupling == COUPLING_CONVERTER) {
         const double iq = x == NULL ? row[P_REST_Q] : row[P_SCALE] * x[stride * index_at(row, P_STATE_Q)];

@@ -53,7 +53,8 @@ void port_slope_at(const double *memory, const Plan *plan, size_t p, double v_re
     const size_t k = index_at(row, P_DEVICE);
 
     if (port_is_load(row)) load_slope(row, v_re, v_im, d);
-    else if (port_is_device(row)) bus_device_slope(row, x, stride, v_re, v_im, d);
+    else if (port_is_device(row))
+        bus_device_slope(row, x, stride, sine + plan->n_machine + k, cosine + plan->n_machine + k, v_re, v_im, d);
     else if (row[P_ON] > 0.5) saturation_slope(row, v_re, v_im, sine[k], cosine[k], d);
     else d[0] = d[1] = d[2] = d[3] = 0.0;
 }

@@ -49,7 +49,8 @@ static inline void port_inject(const real *memory, const Plan *plan, size_t firs
         if (port_is_load(row)) {
             load_injection(row, w.v_re[p], w.v_im[p], re, im);
         } else if (port_is_device(row)) {
-            bus_device_injection(row, x, w.v_re[p], w.v_im[p], re, im);
+            const size_t k = n + index_at(row, P_DEVICE);
+            bus_device_injection(row, x, sine[k], cosine[k], w.v_re[p], w.v_im[p], re, im);
         } else {
             const size_t k = index_at(row, P_DEVICE);
             const flag on = num_above(NUM(row[P_ON]), NUM(0.5));   /* a tripped machine gives nothing */

@@ -71,6 +71,11 @@ enum {  /* the same rows at the port of a device at a bus (bus_device.h) */
     P_TAKEN,            /* and how much by voltage, system base         */
     P_LEAST             /* but not below this, system base              */
 };
+enum {  /* the same rows at a voltage source; P_STATE is that of its angle, P_STATE_Q that of its voltage */
+    P_COND = P_ZERO,    /* 1/(R + jX) of its impedance, system base     */
+    P_SUSC,
+    P_MOST              /* largest current, system base; 0: no limit    */
+};
 enum {  /* the same rows at an end of a dc link, currents and dc voltages on its base, angles in rad (dc_link.h) */
     P_ORDER = P_ZERO,   /* state of the current order; P_STATE is that of the current, P_STATE_Q that of the angle */
     P_NO_LOAD,          /* dc voltage without current, angle 0, at an ac voltage of 1 pu; P_SCALE: ac current by the dc one */
@@ -94,7 +99,7 @@ enum {  /* the same rows at a machine's port */
 #define RUNNING_BLOCKED 0.25
 typedef enum { PORT_LOAD = 1, PORT_MACHINE, PORT_DEVICE, PORT_KINDS } PortKind;
 typedef enum { COUPLING_NONE, COUPLING_SUSCEPTANCE, COUPLING_CURRENT, COUPLING_CONVERTER, COUPLING_RECTIFIER,
-               COUPLING_INVERTER, COUPLING_KINDS } CouplingKind;
+               COUPLING_INVERTER, COUPLING_SOURCE, COUPLING_KINDS } CouplingKind;
 typedef enum { SATURATION_NONE, SATURATION_TOTAL, SATURATION_INCREMENTAL } SaturationKind;
 
 /* What is shown, outputs and then locals: its kind and which machine, bus or line. */

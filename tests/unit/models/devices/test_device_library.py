@@ -23,7 +23,15 @@ PLANT = Path(__import__("interarea.models").models.__file__).parent / "c" / "pla
 SEEN = {"vt": 1.0, "vd": 0.6, "vq": 0.8, "id": 0.7, "iq": 0.5, "pe": 0.82, "slip": 0.0, "ifd": 1.9}
 SEEN |= {"vc": 1.0, "vs": 0.0, "pm": 0.82, "p": 0.4, "q": 0.1, "p_mod": 0.0, "q_mod": 0.0}
 SEEN |= {"vdr": 1.04, "vdi": 1.0}
-OUTPUT = {"exciter": 1.8, "governor": 0.82, "svc": 0.1, "statcom": 0.1, "converter": 0.4, "hvdc": 1.0}
+OUTPUT = {
+    "exciter": 1.8,
+    "governor": 0.82,
+    "svc": 0.1,
+    "statcom": 0.1,
+    "converter": 0.4,
+    "hvdc": 1.0,
+    "source": 0.3,
+}
 
 #: fields of a typical record; public data and the examples of the standards
 RECORDS = {
@@ -34,6 +42,7 @@ RECORDS = {
     "0.05 0.02 9 -9 1 0 1.1 0.02 0.1 0.5 0.6 1 1 1.2 0 0 0.2 0.1 0.5 0.4 0.8 1 0 0",
     "REPCA1": "0 0 0 0 0 0 1 0.02 18 5 0 0.05 0.7 0 0 0.02 0.1 -0.1 -0.01 0.01 0.43 -0.43 1 0.05 0.25 0 0 "
     "9 -9 1 0 0.1 0 0",
+    "REGFMA1": "1 1 0.01 0.01 0.01 2 1.15 0 0.9 0 0.44 -0.44 0.01 0.05 0.01 0.1 3 20 0 5.86",
     "CSVGN1": "0 20 0 1 0.15 1 0.005 0 1 0 60",
     "SEXS": "0.1 10 100 0.05 -5 5",
     "SCRX": "0.1 10 100 0.05 -5 5 0 10",
@@ -136,6 +145,7 @@ def at_rest(name):
     inputs = {key: SEEN[key] for key in KINDS[kind].inputs}
     inputs |= {"iq": SEEN["q"]} if kind == "converter" else {}
     inputs |= {"iord": 1.0, "xr": 0.3, "xi": 0.3} if kind == "hvdc" else {}
+    inputs |= {"e": 1.05} if kind == "source" else {}
     output = OUTPUT.get(kind) if model.device.references else None
     return rest_of(model, complete(model, given), inputs, output, name), inputs
 
@@ -234,7 +244,7 @@ double hold(size_t device, size_t n, uint64_t has, double *table, const double *
 #: members of DeviceSignals, in the order of elements.h
 MEMBERS = (
     *("vt", "vd", "vq", "id", "iq", "pe", "slip", "ifd", "pref_step", "vc", "vs", "pm", "efd"),
-    *("b", "i", "ip", "idc", "p", "q", "p_mod", "q_mod", "vdr", "vdi"),
+    *("b", "i", "ip", "idc", "delta", "p", "q", "p_mod", "q_mod", "vdr", "vdi"),
 )
 
 
