@@ -156,8 +156,10 @@ def compared(y: np.ndarray, patterns: Any) -> dict[str, float]:
     bent, of_half = bends.mean(axis=2), np.median(bends, axis=2)
     result = {"pattern": float(scores(y, patterns).max()) / patterns.threshold}
     level = np.sort(spans, axis=0)[-2]
-    lasts = np.lib.stride_tricks.sliding_window_view(level, int(15.0 / INTERVAL_S) * 2 // FRAMES)
-    result["standing"] = float(lasts.min(axis=1).max()) / 3e-4
+    long = int(15.0 / INTERVAL_S) * 2 // FRAMES
+    if len(level) >= long:  # the last part of a record may be shorter than what it stands for
+        lasts = np.lib.stride_tricks.sliding_window_view(level, long)
+        result["standing"] = float(lasts.min(axis=1).max()) / 3e-4
     each: dict[str, list[float]] = {"apart": [], "alone": [], "rough": []}
     for i in range(len(y)):
         others = [j for j in range(len(y)) if j != i]

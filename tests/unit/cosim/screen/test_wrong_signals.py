@@ -86,7 +86,7 @@ def test_the_table_counts_runs() -> None:
 @pytest.mark.slow
 def test_a_loop_with_the_wrong_sign_fails_and_one_that_hardly_acts_passes() -> None:
     """`robust` answers a wrong polarity with a growing swing; a fiftieth of it cannot."""
-    asked = {"kinds": ("polarity",), "disturbances": ("pulse",), "detector": {}}
+    asked = {"kinds": ("polarity",), "disturbances": ("pulse",), "detector": {"standing_s": 1e9}}
     robust = load_controller("robust")
     assert isinstance(robust, Controller)
     inverted = certified(robust.scaled(-3.0), **asked)
@@ -97,6 +97,8 @@ def test_a_loop_with_the_wrong_sign_fails_and_one_that_hardly_acts_passes() -> N
     assert {r.stop_s for r in plain.rows if r.verdict not in (SETTLED, LOST)} == {60.0}
     assert {r.stop_s for r in plain.rows if r.kind == RIGHT} == {20.0}
     assert [line for line in plain.violations if "G4_dw, polarity" in line]
+    stopped = certified(robust, **asked | {"detector": {}})
+    assert stopped.passed, stopped.violations
     weak = certified(robust.scaled(0.02), **asked)
     assert weak.passed, weak.violations
     assert {(r.detector, r.signal) for r in weak.rows} == {
@@ -205,3 +207,21 @@ def test_a_swap_of_two_quantities_is_refused(other: dict[str, Any], says: str | 
     else:
         with pytest.raises(ScenarioError, match=says):
             load_scenario(table)
+
+
+@pytest.mark.slow
+def test_a_swing_that_no_test_names_ends_when_all_signals_are_out() -> None:
+    """`wide_area` with G4 in place of G2 and back: without a design no signal can be named."""
+    wide = load_controller("wide_area")
+    result = certified(wide, kinds=("swapped with another",), disturbances=("pulse",), detector={})
+    alone, watched = (
+        next(r for r in result.rows if r.signal == "G4_dw" and r.detector is with_it)
+        for with_it in (False, True)
+    )
+    assert (alone.verdict, watched.verdict) == (GROWING, SETTLED)
+    assert watched.detected_s is None
+    assert watched.others == ()
+    assert watched.stopped_s is not None
+    assert 15.0 < watched.stopped_s < 40.0
+    assert all(r.stopped_s is None for r in result.rows if r.kind == RIGHT)
+    assert result.passed, result.violations
