@@ -59,7 +59,7 @@ def test_pss2c_remembers_between_its_thresholds_whether_it_is_on() -> None:
     """On above 0.895 pu, off below 0.885, between them as before; off it gives nothing."""
     (record,) = [r for r in read_dyr(HERE / "OMIB_PSS2C.dyr").records if r.model == "PSS2C"]
     result = device_for_dyr(record)
-    inputs = {"slip": 0.0, "pe": 0.9, "vt": 1.0, "pm": 0.9}
+    inputs = {"slip": 0.0, "pe": 0.9, "vt": 1.0, "vd": 0.6, "vq": 0.8, "pm": 0.9}
     rest = rest_of(result.model, dict(result.parameters) | {MBASE: 100.0, FBASE: 60.0}, inputs, None, "x")
     states = np.array(rest.states)
     for on, pe, then in ((1, 0.9, 1), (1, 0.89, 1), (1, 0.88, 0), (0, 0.89, 0), (0, 0.9, 1)):
