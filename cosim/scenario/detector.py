@@ -41,7 +41,7 @@ class DetectorTable(Table):
     #: how long a signal passes every test before it is trusted again; twice as long each further time
     return_s: Annotated[float, Field(ge=0.0, examples=[5.0])] = 60.0
     #: span of a swing that takes all signals out when it stands, whatever its cause; ambient noise with 4 mHz
-    #: rms between areas makes .06 false alarms in 30 days (benchmarks/control/wrong_signals.py)
+    #: rms between areas does so once in 50 days (docs/wrong_signals.md)
     standing_pu: Annotated[float, Field(gt=0.0, examples=[0.0003])] = 0.0003
     standing_s: Positive = 15.0  #: how long such a swing stands before they are
     wait_s: Annotated[float, Field(ge=0.0)] = 1.0  #: signals later than this are not waited for
