@@ -104,6 +104,11 @@ class WrongCertificate:
         return right + sum(len(r.others) for r in self.rows), right
 
     @property
+    def stops(self) -> int:
+        """In how many runs a swing stood that no test named, and all signals were taken out."""
+        return sum(r.stopped_s is not None for r in self.rows)
+
+    @property
     def violations(self) -> tuple[str, ...]:
         """What breaks the certificate, a line each."""
         lines = [str(r) for r in self.rows if r.worse and (r.detector or r.kind == RIGHT)]
@@ -135,6 +140,7 @@ class WrongCertificate:
             "runs": len(self.rows),
             "isolated": every,
             "rightly": right,
+            "stops": self.stops,
             "summary": [dict(zip(HEADER, cells, strict=True)) for cells in self.table()],
             "rows": [asdict(r) for r in self.rows],
             "out": [asdict(o) for o in self.out],

@@ -197,6 +197,7 @@ def _conclusion(certificate: Mapping[str, Any], counts: Mapping[str, Any]) -> st
     words += f"{alone['lost']} lose synchronism and {alone['swinging']} keep swinging without a detector, "
     words += f"{watched['lost']} and {watched['swinging']} with one"
     every, right = certificate["isolated"], certificate["rightly"]
+    words += f", in {certificate['stops']} of these all signals taken out"
     words += f"; of {every} isolated signals {right} were the wrong one"
     if counts["least_left"] is None:
         return f"{words}; with one of its signals isolated the linear loop is unstable"

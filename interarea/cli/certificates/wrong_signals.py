@@ -65,7 +65,7 @@ def certify_wrong(
 
 
 def _show(certificate: WrongCertificate, place: FaultPlace) -> None:
-    from interarea.cosim.screen.wrong_runs import STOP_S, WRONG_S
+    from interarea.cosim.screen.wrong_runs import LONG_S, STOP_S, WRONG_S
     from interarea.cosim.screen.wrong_signals import HEADER
 
     late = ", ".join(f"{s} {1e3 * t:g} ms" for s, t in certificate.signals.items())
@@ -77,7 +77,8 @@ def _show(certificate: WrongCertificate, place: FaultPlace) -> None:
     )
     disturbances = ", ".join(dict.fromkeys(r.disturbance for r in certificate.rows))
     points = " and ".join(dict.fromkeys(r.point for r in certificate.rows))
-    typer.echo(f"each at {points} with {disturbances}; fault at {place}; verdicts of {STOP_S:g} s")
+    horizon = f"verdicts after {STOP_S:g} s, after {LONG_S:g} s where a run has not settled"
+    typer.echo(f"each at {points} with {disturbances}; fault at {place}; {horizon}")
     print_table(
         "linear loop with a signal isolated",
         ("operating point", "signal", "stable", "worst swing", "inter-area"),
@@ -87,7 +88,9 @@ def _show(certificate: WrongCertificate, place: FaultPlace) -> None:
         ],
     )
     every, right = certificate.isolations
-    typer.echo(f"isolated: {every} signals, of which {right} were wrong")
+    typer.echo(
+        f"isolated: {every} signals, of which {right} were wrong; all at once in {certificate.stops} runs"
+    )
     for line in certificate.violations[:_SHOWN]:
         typer.echo(f"violated: {line}")
     if len(certificate.violations) > _SHOWN:

@@ -26,7 +26,13 @@ LEFT = {"point": "base", "signal": "G2_dw", "stable": True, "worst_swing": 0.2, 
 
 
 def certificate(*rows: WrongRow, left: tuple[dict[str, Any], ...] = (LEFT,)) -> dict[str, Any]:
-    document = {"rows": [asdict(row) for row in rows], "out": list(left), "isolated": 3, "rightly": 2}
+    document = {
+        "rows": [asdict(row) for row in rows],
+        "out": list(left),
+        "isolated": 3,
+        "rightly": 2,
+        "stops": 1,
+    }
     return json.loads(json.dumps(document))  # type: ignore[no-any-return]
 
 
@@ -46,7 +52,7 @@ def test_runs_are_counted_by_what_they_end_in_and_by_the_grid_without_control() 
     assert counts["alone"] == {"lost": 0, "swinging": 1, "worse": 1}
     assert (counts["false_alarms"], counts["clean_runs"], counts["runs_of_each"]) == (1, 1, 1)
     assert counts["least_left"] == 0.25
-    assert "2 and 1 with one; of 3 isolated signals 2 were the wrong one" in counts["conclusion"]
+    assert "2 and 1 with one, in 1 of these all signals taken out; of 3 isolated" in counts["conclusion"]
 
 
 def test_a_loop_that_is_unstable_without_a_signal_has_no_damping_left() -> None:
