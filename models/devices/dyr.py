@@ -29,10 +29,11 @@ class DyrRecord(Protocol):
 
 @dataclass(frozen=True)
 class DyrDevice:
-    """A device and the parameters that a record gives it."""
+    """A device, the parameters that a record gives it, and fields of the record that are not 0 and unused."""
 
     model: Model
     parameters: Mapping[str, float]
+    unused: tuple[str, ...] = ()
 
 
 @functools.cache
@@ -88,18 +89,24 @@ def device_for_dyr(record: DyrRecord, own: Iterable[Model] = ()) -> DyrDevice:
         if not (rule is not None and value == rule.when) and not p.holds(value):
             allowed = f"above {p.low:g}" if p.open else f"{p.low:g} to {p.high:g}"
             raise DeviceError(f"{what} {p.name} = {value:g}, allowed: {allowed}")
-    return DyrDevice(model, parameters)
+    return DyrDevice(model, parameters, _unused(values))
+
+
+def _unused(values: Mapping[str, float]) -> tuple[str, ...]:
+    """Names of fields -NAME that are not 0."""
+    return tuple(name[1:] for name, value in values.items() if name.startswith("-") and value != 0.0)
 
 
 def _values(record: DyrRecord, row: DyrModel) -> dict[str, float]:
-    """The named fields of a record; those of functions that are not modelled must be 0, or its own bus."""
+    """The named fields of a record, unused ones (-NAME) too; those not modelled must be 0, or its own bus."""
     values: dict[str, float] = {}
     for k, (name, text) in enumerate(zip(row.fields, record.fields, strict=True), start=1):
         if name == "-":
             continue
         value, what = _number(text), f"{record.where}: {record.model} field {k}"
         if value is None:
-            raise DeviceError(f"{what} ({name.removeprefix('0:')}) = {str(text)[:40]!r}, allowed: a number")
+            field = name.removeprefix("0:").removeprefix("-")
+            raise DeviceError(f"{what} ({field}) = {str(text)[:40]!r}, allowed: a number")
         if not name.startswith("0"):
             values[name] = value
         elif value != 0.0 and not (name.startswith("0:BUS") and value == record.bus):

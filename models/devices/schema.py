@@ -46,8 +46,9 @@ def device_schema() -> dict[str, Any]:
         ),
         "dyr": (
             {"type": "object", "additionalProperties": _TEXT, "examples": [{"MYAVR": "TR - KA; TB = 0"}]},
-            "records of PSS/E that are this device: fields in order, `-` ignored, `0` or `0:NAME` must be 0 "
-            "(`0:BUS`: or its own bus); after `;` what is fixed",
+            "records of PSS/E that are this device: fields in order, `-` ignored, `-NAME` ignored "
+            "and named by an import where it is not 0, `0` or `0:NAME` must be 0 (`0:BUS`: or its "
+            "own bus); after `;` what is fixed",
         ),
         "computed": (
             {"type": "object", "additionalProperties": {"$ref": "#/$defs/Computed"}},

@@ -322,7 +322,7 @@ def _row(
 ) -> tuple[str, dict[str, Any]]:
     """What a record is, and the keys it gives."""
     if record.model not in MACHINES:
-        return _device(record, own, records)
+        return _device(record, own, records, report)
     count, convert = MACHINES[record.model]
     if record.model == "GENCLS" and len(record.fields) == count + 1:  # a reactance, which the RAW has too
         report.assume("third field of GENCLS left out: the reactance is that of the RAW", record.where)
@@ -344,7 +344,7 @@ def _row(
 
 
 def _device(
-    record: DyrRecord, own: Mapping[str, Model], records: Collection[str]
+    record: DyrRecord, own: Mapping[str, Model], records: Collection[str], report: Report
 ) -> tuple[str, dict[str, Any]]:
     """The kind of device that a record is, and its row."""
     if record.model not in records:
@@ -359,6 +359,8 @@ def _device(
     if record.model == "WSIEG1" and "WSIEG1" not in own_records(own.values()):
         record = _without_curve(record)
     result = device_for_dyr(record, own.values())
+    for name in result.unused:
+        report.assume(f"{name} of {record.model} is not 0, and is not used", record.where)
     device = result.model.device
     return device.kind, {"kind": device.key} | dict(result.parameters)
 
@@ -366,7 +368,7 @@ def _device(
 def _without_curve(record: DyrRecord) -> DyrRecord:
     """A WSIEG1 whose deadbands and curve are all 0 as the IEEEG1 with whose fields it begins."""
     count, of_both = (len(dyr_models()[model][1].fields) for model in ("IEEEG1", "WSIEG1"))
-    plain = len(record.fields) == of_both and not any(field.strip("0.") for field in record.fields[count:-1])
+    plain = len(record.fields) == of_both and not any(field.strip("0.") for field in record.fields[count:])
     return dataclasses.replace(record, model="IEEEG1", fields=record.fields[:count]) if plain else record
 
 

@@ -149,7 +149,7 @@ class _Reader(Source):
         head, _, tail = row.partition(";")
         fields = tuple(head.split())
         assigned = self.read_assigned(model, tail, self.constants | set(fields), line)
-        named = [name for name in fields if name not in ("-", "0") and not name.startswith("0:")]
+        named = [name for name in fields if name != "0" and not name.startswith(("-", "0:"))]
         known = {*self.parameters, *(n for node in assigned.values() for n in node.names)}
         for name in named:
             if name not in known:

@@ -68,6 +68,19 @@ def test_wsieg1_without_deadbands_and_curve_is_ieeeg1(tmp_path: Path) -> None:
     assert given[0] == given[1]
 
 
+def test_a_field_that_is_not_used_is_named_where_it_is_not_0(tmp_path: Path) -> None:
+    """The share K2 of a second machine, and that the valve is blocked (IBLOCK), even without deadbands."""
+    with_share = TURBINE.replace("0.3 0 5", "0.3 0.2 5")
+    western = f"1 'WSIEG1' 1 {with_share} {' '.join(['0'] * 13)} 2 /\n"
+    assumed = taken(tmp_path, western).report.assumed
+    assert {line for line in assumed if "WSIEG1" in line} == {
+        "K2 of WSIEG1 is not 0, and is not used",
+        "IBLOCK of WSIEG1 is not 0, and is not used",
+    }
+    plain = taken(tmp_path, f"1 'IEEEG1' 1 {TURBINE} /\n").report.assumed
+    assert not [line for line in plain if "IEEEG1" in line]
+
+
 def test_comp_is_a_compensation_by_a_reactance(tmp_path: Path) -> None:
     comp = taken(tmp_path, SEXS + "1 'COMP' 1 0.05 /\n").case.machine("G1").compensator
     same = taken(tmp_path, SEXS + "1 'IEEEVC' 1 0.0 0.05 /\n").case.machine("G1").compensator
