@@ -44,7 +44,8 @@
  *
  * takes all signals out at once, as if each were isolated: the grid is left to its own damping. They come back when
  * return 2^(n-1) has passed, n the number of such stops, or as soon as the spans of all signals but one have risen to
- * WORSE of what they were: then the controller was not the cause, and it is not stopped again before that time.
+ * WORSE of what they were two averages after the stop, which is a disturbance itself: then the controller was not the
+ * cause, and it is not stopped again before that time.
  *
  * A signal that fails is isolated. It comes back when it has passed every test for return 2^(n - 1), n the number
  * of times it was isolated so far, at most 2^6 return. Of each signal
@@ -74,8 +75,8 @@ enum {
 };
 
 /* Discrete state: a head, then of each signal DM_COUNT numbers. */
-/* M_SINCE: stamps since which level is above `standing`, M_LEAST and M_MOST its range from there; M_STOPPED: whether
- * all signals are out, M_STOPS how often so far, M_UNTIL the time that ends the last. */
+/* M_SINCE: stamps since which level is above `standing`, M_LEAST and M_MOST its range from there; M_STOPPED: time
+ * from which all signals are out or NEVER, M_STOPS how often so far, M_UNTIL the time that ends the last. */
 enum {
     M_STAMP, M_STAMPS, M_ALARMS, M_SINCE, M_LEAST, M_MOST, M_STOPPED, M_STOPS, M_UNTIL, M_SIGNALS
 };
@@ -89,6 +90,7 @@ enum {
 
 #define SLACK 1e-9 /* s; instants closer than this count as equal */
 #define MOST_FAILURES 7.0
+#define NEVER (-1e300)
 
 static inline double *memory_of(const Block *b, size_t i) { return b->memory + M_SIGNALS + DM_COUNT * i; }
 static inline const double *limits_of(const Block *b, size_t i) { return b->p + P_SIGNAL + PER_SIGNAL * i; }

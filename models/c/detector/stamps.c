@@ -131,18 +131,20 @@ static double level_of(const Block *b)
     return count > 1 ? second : largest;
 }
 
-/* Whether the swing has grown since the signals were taken out: the spans of all, but for one that may be wrong. */
-static int grown(const Block *b)
+/* What follows a stop: the spans of then, once the stop itself has left them; then whether they have grown since. */
+static void watch_stop(Block *b, double t)
 {
+    const int waits = t < b->memory[M_STOPPED] + 2.0 * b->p[P_AVERAGE] - SLACK;
     size_t count = 0, larger = 0;
 
     for (size_t i = 0; i < count_of(b); ++i) {
-        const double *m = memory_of(b, i);
-        if (!trusted(b, i) || isnan(m[DM_MEAN])) continue;
+        double *m = memory_of(b, i);
+        if (waits) m[DM_AT_STOP] = m[DM_SPAN];
+        if (waits || !trusted(b, i) || isnan(m[DM_MEAN])) continue;
         ++count;
         larger += m[DM_SPAN] > WORSE * m[DM_AT_STOP];
     }
-    return larger > 0 && larger + 1 >= count;
+    if (larger > 0 && larger + 1 >= count) b->memory[M_STOPPED] = NEVER; /* one of them may be wrong */
 }
 
 /* Starts to watch a swing at the newest stamp. */
@@ -158,7 +160,7 @@ static void watch_swing(Block *b, double t)
     const double level = level_of(b);
     double *m = b->memory;
 
-    if (m[M_STOPPED] != 0.0 && grown(b)) m[M_STOPPED] = 0.0;
+    if (m[M_STOPPED] > NEVER) watch_stop(b, t);
     m[M_LEAST] = fmin(m[M_LEAST], level);
     m[M_MOST] = fmax(m[M_MOST], level);
     if (!(level > b->p[P_STANDING]) || t < m[M_UNTIL] - SLACK || !(m[M_LEAST] > STEADY * m[M_MOST])) {
@@ -167,8 +169,7 @@ static void watch_swing(Block *b, double t)
     }
     if ((m[M_STAMPS] - m[M_SINCE]) * b->p[P_INTERVAL] < b->p[P_STANDING_TIME] - SLACK) return;
     watch_from(m, level);
-    m[M_STOPPED] = 1.0;
-    for (size_t i = 0; i < count_of(b); ++i) memory_of(b, i)[DM_AT_STOP] = memory_of(b, i)[DM_SPAN];
+    m[M_STOPPED] = t;
     m[M_UNTIL] = t + b->p[P_RETURN] * ldexp(1.0, (int)m[M_STOPS]);
     m[M_STOPS] = fmin(m[M_STOPS] + 1.0, MOST_FAILURES - 1.0);
     m[M_ALARMS] += 1.0;

@@ -48,6 +48,7 @@ BlockStatus block_start(Block *b, double t, BlockMessage *message)
         return BLOCK_ERROR;
     }
     for (size_t k = 0; k < M_SIGNALS + DM_COUNT * count_of(b); ++k) b->memory[k] = 0.0;
+    b->memory[M_STOPPED] = b->memory[M_UNTIL] = NEVER;
     b->memory[M_STAMP] = ceil((t - SLACK) / b->p[P_INTERVAL]);
     for (size_t k = 0; k < b->layout.n_iy; ++k) b->iy[k] = k < 2 * count_of(b);
     return BLOCK_OK;
@@ -265,8 +266,8 @@ BlockStatus block_step(Block *b, double t, double h, const double *u_poly, doubl
     (void)h, (void)dy, (void)message;
     for (size_t i = 0; i < n; ++i) receive(b, i, t, u_poly);
     compare(b, t);
-    if (t >= b->memory[M_UNTIL] - SLACK) b->memory[M_STOPPED] = 0.0;
-    stopped = b->memory[M_STOPPED] != 0.0;
+    if (t >= b->memory[M_UNTIL] - SLACK) b->memory[M_STOPPED] = NEVER;
+    stopped = b->memory[M_STOPPED] > NEVER;
     for (size_t i = 0; i < n; ++i) {
         double *m = memory_of(b, i);
         const double passed = t - m[DM_FAILED_AT];
