@@ -31,6 +31,7 @@ _SHARED = ("settings.js", "verdict.js")  #: by page and worker
 _WORKER = ("eigenvalues.js", "worker.js")
 _AFTER = re.compile(r"\s+/\*[^*]*\*/$")  #: a comment behind code
 _TIGHT = re.compile(r"([:;,{}])\s+|\s+(?=\{)")  #: spaces and ends of lines that a style sheet does without
+_OPERATOR = re.compile(r" (=>|[=!]==|&&|\|\|) ")  #: what no text of the scripts holds
 _BRACE = re.compile(r"(\)|=>) \{$")  #: what opens a block at the end of a line
 _PAGE = ("link.js", "plots.js", "diagram.js", "controls.js", "page.js")
 
@@ -137,5 +138,5 @@ def _compact(text: str) -> str:
         if comment or line.startswith("/*"):
             comment = "*/" not in line
         elif line:
-            lines.append(_BRACE.sub(r"\1{", _AFTER.sub("", line)).replace(" => ", "=>"))
+            lines.append(_OPERATOR.sub(r"\1", _BRACE.sub(r"\1{", _AFTER.sub("", line))))
     return "\n".join(lines)
