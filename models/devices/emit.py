@@ -300,7 +300,7 @@ class Writer(ExpressionWriter):
         if not e.is_limited:
             return rate
         call = f"limiter_held_rate(&l, {self.first[name]}u, "
-        return f"{call}{rate}, x_{x}, s_{name}, low_{name}, high_{name}, {per})"
+        return f"{call}{rate}, x_{x}, low_{name}, high_{name}, {per})"
 
     def integrator_output(self, e: Element) -> str:
         return f"x_{e.line.name}"

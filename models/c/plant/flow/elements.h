@@ -191,15 +191,15 @@ static inline num limiter_lag_rate(Limiters *l, unsigned i, num u, num x, num lo
     return num_pick(above, high, num_pick(below, low, u)) - x;
 }
 
-/* dx/dt of a state with limits whose rate would be `rate`; y is x within the limits. */
-static inline num limiter_held_rate(Limiters *l, unsigned i, num rate, num x, num y, num low, num high, real per_T)
+/* dx/dt of a state with limits whose rate would be `rate`. On a limit its slope is that of beyond: it is held. */
+static inline num limiter_held_rate(Limiters *l, unsigned i, num rate, num x, num low, num high, real per_T)
 {
     const flag at_low = num_reaches(low, x) & num_above(NUM(0.0), rate);
     const flag at_high = num_reaches(x, high) & num_above(rate, NUM(0.0));
     const flag below = limiter(l, i + 2, at_low, element_min(low - x, -rate), rate);
     const flag above = limiter(l, i + 3, at_high, element_min(x - high, rate), -rate);
     limiter_forget(l, i, below | above);
-    return num_pick(above | below, (y - x) * per_T, rate);
+    return num_pick(above | below, (num_pick(above, high, low) - x) * per_T, rate);
 }
 
 /* The integral of a PI element stands while the whole pushes outwards: decisions i, i + 1. */

@@ -11,6 +11,7 @@ import scipy.optimize
 from grid_text import dyr_text, raw_text
 from plant_shim import BlockShim
 
+from interarea.design.linear.linearise import linearise
 from interarea.design.linear.sparse_plant import sparse_plant
 from interarea.design.linear.zero_eigenvalues import zero_eigenvalues_of
 from interarea.fmu_build.write.device_slopes import DeviceSlopes
@@ -34,10 +35,26 @@ CONTROLS = {
 }
 
 
+WAITING = ("xpmax", "xpmin", "xqmax", "xqmin")
+
+
 def with_source(control="voltage", base="two-area-thesis", **more):
     row = {"bus": 8, "base_mva": 200.0, "P_mw": 100.0, "Q_mvar": 20.0}
     row["control"] = {"kind": "regfm_a1"} | CONTROLS[control][0] | more
     return load_case(base).with_changes({"converters": {"gfm1": row}})
+
+
+def test_limits_that_wait_are_held_in_the_linear_model():
+    """Each has a pole of -1 1/s, the slope beyond its limit, and moves nothing else."""
+    plant, free = (
+        BlockShim(plant_block(with_source(**more))) for more in ({}, {"kipmax": 0.0, "kiqmax": 0.0})
+    )
+    A, B = linearise(plant).A, linearise(free).A  # refuses what differences at two steps do not show
+    held = [plant.state_names.index(f"gfm1.{name}") for name in WAITING]
+    others = np.setdiff1d(np.arange(len(A)), held)
+    np.testing.assert_array_equal(np.diag(A)[held], -1.0)
+    assert np.count_nonzero(A[np.ix_(held, others)]) == np.count_nonzero(A[np.ix_(others, held)]) == 0
+    np.testing.assert_array_equal(A[np.ix_(others, others)], B[np.ix_(others, others)])
 
 
 @pytest.mark.parametrize(
