@@ -245,14 +245,12 @@ class _Units:
         elif kind == MACHINE:
             self.where[name] = record.where
             self.rows[name] |= row
-        elif kind == SOURCE:
-            self.where[name] = record.where
-            self.rows[name][kind] = {"source": f"{self.path.name}, {record.model}", **row}
-        elif kind == SVC:
-            self.where[name], self.records[name] = record.where, record
-            self.rows[name][kind] = {"source": f"{self.path.name}, {record.model}", **row}
         else:
             self.rows[name][kind] = {"source": f"{self.path.name}, {record.model}", **row}
+            if kind in (SOURCE, SVC):
+                self.where[name] = record.where
+            if kind == SVC:
+                self.records[name] = record
         self.report.read[record.model] += 1
 
     def check_converters(self) -> None:

@@ -82,7 +82,7 @@ enum {
 };
 enum {
     DM_ISOLATED, DM_REASON, DM_FAILED_AT, DM_FAILURES, DM_REPEATS, DM_MOVES, DM_FRAMES, DM_MEAN, DM_SPAN, DM_BEND, DM_ALONE,
-    DM_AT_STOP, /* span when all were taken out */
+    DM_AT_STOP, /* span two averages after all were taken out */
     DM_FRAME, /* stamp and value of each of the last frames */
     DM_ALIGNED = DM_FRAME + 2 * DETECTOR_FRAMES,
     DM_COUNT = DM_ALIGNED + DETECTOR_STAMPS
