@@ -9,8 +9,12 @@ import control
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
+from locked import one_at_a_time
 
 from interarea.design.controllers.controller import Controller
+from interarea.fmu_build.write.compile import compile_binary, host_platform
+from interarea.fmu_build.write.lane_library import plant_group
+from interarea.models.blocks.plant import plant_sources
 from interarea.models.case.case import Case, load_case
 
 # How long one example takes says nothing on a machine that is busy; the same examples on every machine.
@@ -63,7 +67,14 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(autouse=True, scope="session")
 def _one_cache(cache: Path) -> None:
-    """Every test, and what it starts, finds the same artefacts."""
+    """Every test, and what it starts, finds the same artefacts.
+
+    Processes side by side would each compile the plant, a minute: one does, the others wait for it.
+    """
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        with one_at_a_time(cache / "plant.lock"):
+            compile_binary("plant", plant_sources(), host_platform(), cache=cache)
+            plant_group(cache=cache)
 
 
 @pytest.fixture(scope="session")

@@ -3,24 +3,23 @@
 from __future__ import annotations
 
 import ctypes
-import hashlib
 import os
 import re
 import shutil
-import subprocess
 import sys
-import tempfile
 from functools import cache
-from multiprocessing.util import Finalize
 from pathlib import Path
 
 import numpy as np
+from locked import one_at_a_time
 
-import interarea.models
 import interarea.models.blocks.binary_table
+from interarea.fmu_build.write.cache import artefact, content_hash, default_cache
 from interarea.models.blocks.binary_table import pack_record
 from interarea.models.blocks.variables import Block
+from interarea.models.processes import run_guarded, side_by_side
 
+C = Path(interarea.models.blocks.binary_table.__file__).parents[1] / "c"
 FLAGS = ["-std=c99", "-O2", "-ffp-contract=off", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror"]
 _Real = ctypes.POINTER(ctypes.c_double)
 _Integer = ctypes.POINTER(ctypes.c_int)
@@ -46,9 +45,7 @@ class _Needs(ctypes.Structure):
 
 def _fields_of_block() -> list[tuple[str, type]]:
     """Members of `Block` in the order of block.h, so that the header stays the only place that says it."""
-    text = (
-        Path(interarea.models.blocks.binary_table.__file__).parents[1] / "c" / "block" / "block.h"
-    ).read_text()
+    text = (C / "block" / "block.h").read_text()
     body = re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL)
     body = re.search(r"typedef struct \{([^}]*)\} Block;", body).group(1)
     kinds = {
@@ -85,26 +82,42 @@ def compiler() -> list[str]:
 
 
 @cache
-def _folder() -> Path:
-    folder = tempfile.mkdtemp(prefix="plant-shim-")
-    # at the end of a child process too, where `atexit` is not heard
-    Finalize(None, shutil.rmtree, (folder,), {"ignore_errors": True}, exitpriority=0)
-    return Path(folder)
+def compile_shared(sources: tuple[Path, ...], flags: tuple[str, ...] = tuple(FLAGS)) -> Path:
+    """Return the shared library of C sources, kept in the cache: a plant takes a compiler 45 s.
+
+    A key holds every C file and header of the package, for any of them may be included.
+    """
+    everything = sorted(p for p in C.rglob("*.[ch]"))
+    texts = [p.read_bytes() for p in (*sources, *everything)]
+    key = content_hash(*texts, [p.name for p in (*sources, *everything)], flags, compiler(), _version())
+    folder = default_cache()
+    with one_at_a_time(folder / "shim.lock"):
+        return artefact(folder, "shim", key, ".so", lambda result: _compile(sources, flags, result))
+
+
+def _compile(sources: tuple[Path, ...], flags: tuple[str, ...], result: Path) -> None:
+    folders = [f"-I{source.parent}" for source in sources if source.suffix == ".h"]  # generated headers
+    code = [source for source in sources if source.suffix == ".c"]
+    folders += [f"-I{source.parent}" for source in sources if source.name == "flow.c"] if folders else []
+    command = [*compiler(), *flags, "-fPIC", *folders]
+    objects = [str(result.parent / f"{k}.o") for k in range(len(code))]
+
+    def compiled(k: int) -> None:
+        _run([*command, "-c", "-o", objects[k], str(code[k])])
+
+    side_by_side(compiled, sorted(range(len(code)), key=lambda k: "flow" not in code[k].parts))
+    _run([*command, "-shared", "-o", str(result), *objects, "-lm"])
+
+
+def _run(command: list[str]) -> None:
+    done = run_guarded(command)
+    if done.returncode:
+        raise RuntimeError(f"{' '.join(command)}\n{done.stderr}")
 
 
 @cache
-def compile_shared(sources: tuple[Path, ...], flags: tuple[str, ...] = tuple(FLAGS)) -> Path:
-    """Compile C sources into a shared library and return its path."""
-    key = hashlib.sha256(repr((sources, flags, compiler())).encode()).hexdigest()[:12]
-    path = _folder() / f"{key}.so"
-    folders = [f"-I{source.parent}" for source in sources if source.suffix == ".h"]  # generated headers
-    code = [str(source) for source in sources if source.suffix == ".c"]
-    folders += [f"-I{source.parent}" for source in sources if source.name == "flow.c"] if folders else []
-    command = [*compiler(), *flags, "-shared", "-fPIC", "-o", str(path), *folders, *code, "-lm"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    if done.returncode:
-        raise RuntimeError(f"{' '.join(command)}\n{done.stderr}")
-    return path
+def _version() -> str:
+    return run_guarded([*compiler(), "--version"]).stdout
 
 
 class BlockShim:

@@ -154,7 +154,7 @@ def test_what_cannot_rest_is_named(more, says):
 @pytest.mark.slow
 def test_a_page_of_a_grid_without_devices_at_buses_takes_none():
     """PLANT_NO_BUS_DEVICES leaves their code out: the bits stay, a grid with devices is refused."""
-    case, alone = load_case("two-area-thesis"), ("-DPLANT_NO_BUS_DEVICES",)
+    case, alone = load_case("two-area-thesis"), ("-DPLANT_NO_BUS_DEVICES", "-O0")
     whole, without = (BlockShim(plant_block(case), flags=flags) for flags in ((), alone))
     for one, other in zip(
         whole.derivatives(whole.x + 1e-3), without.derivatives(whole.x + 1e-3), strict=True
