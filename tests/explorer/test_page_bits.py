@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
+import os
 import random
 import sys
 import tomllib
@@ -21,6 +22,8 @@ from interarea.cli.app import main
 from interarea.cosim.export.container import container_block
 from interarea.cosim.scenario.scenario import load_scenario
 from interarea.fmu_build.write.package import block_fmu
+
+SETTINGS = 50 if os.environ.get("INTERAREA_EVERY_FAULT") else 12  #: random ones; 50 in `make fuzz`
 
 
 def native_rows(toml: str, columns: Sequence[str], cache: Path) -> np.ndarray[Any, Any]:
@@ -116,7 +119,7 @@ def test_presets_and_their_saved_scenarios_have_the_bits_of_the_fmu(
 def test_random_settings_have_the_bits_of_the_fmu(
     node: Any, data: dict[str, Any], cache: Path, tmp_path: Path
 ) -> None:
-    assert_same_bits(node, [p["state"] for p in data["presets"]] + settings(data, 50), cache, tmp_path)
+    assert_same_bits(node, [p["state"] for p in data["presets"]] + settings(data, SETTINGS), cache, tmp_path)
 
 
 @pytest.mark.slow
