@@ -56,7 +56,7 @@ class Pair:
 
     def __init__(self, which: int, machines: int) -> None:
         needed = tuple(c for c in plant_sources() if c.name in ("devices.h", "tile_4.c", "tile_8.c"))
-        self._c = compiled(needed, "plain_devices.c")
+        self._c = compiled(needed, "plain_devices.c", fmi=False)
         self._c.devices_open.restype = ctypes.c_void_p
         self._c.devices_ns.restype = ctypes.c_double
         device, self.machines = DEVICES[which], machines

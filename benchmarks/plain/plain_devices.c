@@ -9,6 +9,8 @@
 #include "processor.h"
 #include "tiles.h"
 
+#pragma GCC visibility push(default)
+
 static double lag(double u, double T, const double **x, double **dx)
 {
     if (!(T > 0.0)) return u;

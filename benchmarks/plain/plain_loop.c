@@ -10,6 +10,8 @@
 #include "physics.h"
 #include "sparse.h"
 
+#pragma GCC visibility push(default)
+
 typedef struct {
     Record record;
     Block block;

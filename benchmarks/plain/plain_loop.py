@@ -4,43 +4,28 @@ from __future__ import annotations
 
 import ctypes
 import functools
-import os
-import shlex
-import subprocess
-import sys
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-from interarea.fmu_build.write.sources import gather_sources
+from interarea.fmu_build.write.compile import compile_library, host_platform
+from interarea.fmu_build.write.sources import gather_sources, source_files
 from interarea.models.blocks.binary_table import pack_record
 from interarea.models.blocks.plant import plant_block
 from interarea.models.grid.network_tables import Form
 
-FLAGS = ("-std=c99", "-O2", "-ffp-contract=off")
-
 
 @functools.lru_cache
-def compiled(sources: tuple[Path, ...], own: str = "plain_loop.c") -> ctypes.CDLL:
-    """Compile a C file of this folder with the `sources` of a block, once, by the compiler of the FMUs."""
-    with tempfile.TemporaryDirectory() as folder:
-        return _compiled((Path(__file__).with_name(own), *sources), Path(folder))
+def compiled(sources: tuple[Path, ...], own: str = "plain_loop.c", *, fmi: bool = True) -> ctypes.CDLL:
+    """Compile a C file of this folder with the `sources` of a block, as its FMU is compiled.
 
-
-def _compiled(files: tuple[Path, ...], folder: Path) -> ctypes.CDLL:
-    compiler = shlex.split(os.environ.get("CC", "")) or [sys.executable, "-m", "ziglang", "cc"]
-    library = folder / "plain_loop.so"
-    for name, text in gather_sources(files).items():
-        (folder / name).write_bytes(text)
-    sources = [str(path) for path in sorted(folder.glob("*.c"))]
-    command = [*compiler, *FLAGS, "-shared", "-fPIC", "-o", str(library), *sources, "-lm"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    if done.returncode:
-        raise RuntimeError(f"{' '.join(command)}\n{done.stderr}")
-    return ctypes.CDLL(str(library))
+    fmi : whether the FMI layer comes along: then the block's objects are those of its FMU, compiled once.
+    """
+    gather = source_files if fmi else gather_sources
+    files = gather((Path(__file__).with_name(own), *sources))
+    return ctypes.CDLL(str(compile_library(Path(own).stem, files, host_platform())))
 
 
 class PlainPlant:

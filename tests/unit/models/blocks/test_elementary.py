@@ -13,6 +13,8 @@ import numpy as np
 import pytest
 
 import interarea.models.blocks.binary_table
+from interarea.fmu_build.write.cache import COMPILERS_OWN
+from interarea.fmu_build.write.compile import PLATFORMS, SYSTEM_LIBRARIES, host_platform
 
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-Wall", "-Wextra", "-Wconversion", "-Werror")
 HEAD = """#include <math.h>
@@ -53,16 +55,20 @@ EDGES += [2.3e-308, 2.2e-308, 1.7e308, 1.75e308, np.sqrt(2.0), np.nextafter(np.s
 
 
 @pytest.fixture(scope="module")
-def library(tmp_path_factory: pytest.TempPathFactory) -> ctypes.CDLL:
+def library(cache: Path, tmp_path_factory: pytest.TempPathFactory) -> ctypes.CDLL:
     folder = tmp_path_factory.mktemp("elementary")
     sources = [folder / "one.c", folder / "several.c"]
     for path, text in zip(sources, (ONE, HEAD + SEVERAL), strict=True):
         path.write_text(text)
     compiler = shlex.split(os.environ.get("CC", "")) or [sys.executable, "-m", "ziglang", "cc"]
+    environment = dict(os.environ)
+    if sys.platform == "linux" and "ziglang" in compiler:  # as for FMUs: their C library's parts are there
+        compiler += ["-target", PLATFORMS[host_platform()].targets[0], "-rtlib=none"]
+        environment["ZIG_GLOBAL_CACHE_DIR"] = str(cache / COMPILERS_OWN / SYSTEM_LIBRARIES)
     includes = f"-I{Path(interarea.models.__path__[0]) / 'c' / 'plant' / 'numbers'}"
     output = folder / "elementary.so"
     command = [*compiler, *FLAGS, includes, "-shared", "-fPIC", "-o", str(output), *map(str, sources), "-lm"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
     assert done.returncode == 0, done.stderr
     return ctypes.CDLL(str(output))
 
