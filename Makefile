@@ -31,7 +31,7 @@ fuzz: $(VENV)/installed-test
 	$(BIN)/python tests/fuzz/run_fuzz.py --minutes 60 --calls 100000000 --seeds out/fuzz/seeds.json
 	-$(BIN)/python tests/foreign/fetch.py
 	INTERAREA_EVERY_FAULT=1 $(BIN)/python -m pytest -q -m "" tests/foreign tests/faults tests/hostile tests/sweep/test_sweep_kills.py \
-	    tests/unit/models/importers/test_import_broken.py tests/explorer/test_page_bits.py
+	    tests/unit/models/importers/test_import_broken.py tests/explorer/test_page_bits.py tests/fuzz/test_memory.py
 	$(BIN)/python tests/sweep/kills.py --kills 500
 
 lint: $(VENV)/installed-test

@@ -29,6 +29,6 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 @pytest.mark.parametrize("command", signals.COMMANDS)
 def test_nothing_outlives_its_command(command: str, files: Path) -> None:
     chance = random.Random(command)
-    longest_s = min(signals.LONGEST_S.get(command, 4.0), 10.0)
+    longest_s = min(signals.LONGEST_S.get(command, 4.0), 5.0)
     for number in signals.SIGNALS:
         assert signals.stopped(command, number, files, chance.uniform(0.3, longest_s)) == [], number

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 import sys
@@ -13,6 +14,7 @@ from fuzz_build import build_driver, plain_compiler
 from test_fuzz import SOURCES
 
 KINDS = ("controller", "channel", "plant")
+CYCLES = 100_000 if os.environ.get("INTERAREA_EVERY_FAULT") else 20_000  #: of the smallest block
 
 pytestmark = pytest.mark.slow
 
@@ -27,9 +29,9 @@ VALGRIND = (
 )
 
 
-@pytest.mark.parametrize(("kind", "cycles"), [("controller", 100_000), ("channel", 5_000), ("plant", 3_000)])
+@pytest.mark.parametrize(("kind", "cycles"), [("controller", CYCLES), ("channel", 5_000), ("plant", 3_000)])
 def test_create_simulate_free_does_not_grow(kind: str, cycles: int, tmp_path: Path) -> None:
-    """The whole hundred thousand for the smallest block; the FMI layer is the same for all."""
+    """Most for the smallest block; the FMI layer is the same for all."""
     if not sys.platform.startswith("linux"):
         pytest.skip("resident memory is read from /proc")
     said = build_driver(blocks()[kind], ("cycles.c",), plain_compiler(), tmp_path).run(cycles)
@@ -37,7 +39,7 @@ def test_create_simulate_free_does_not_grow(kind: str, cycles: int, tmp_path: Pa
     assert match is not None, said
     done, growth_kb, files, pieces = map(int, match.groups())
     assert (done, files, pieces) == (cycles, 0, 0)
-    # less than one byte per cycle of the smallest allocation would show: a few pages are the C library's
+    # one allocation in four cycles would show, its least being 32 bytes: a few pages are the C library's
     assert growth_kb <= 128, said
 
 
