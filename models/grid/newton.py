@@ -116,13 +116,20 @@ def _jacobian(Y: Any, V: ComplexArray, linear: Any, free_angle: IntArray, free_m
     by_magnitude = (
         around @ (Y @ sparse.diags(unit)).conj() + sparse.diags(np.conj(current) * unit - linear)
     ).tocsr()
-    return sparse.bmat(
-        [
-            [by_angle.real[free_angle][:, free_angle], by_magnitude.real[free_angle][:, free_magnitude]],
-            [
-                by_angle.imag[free_magnitude][:, free_angle],
-                by_magnitude.imag[free_magnitude][:, free_magnitude],
-            ],
-        ],
-        format="csc",
-    )
+    n = len(V)
+    at_angle, at_magnitude = np.full(n, -1), np.full(n, -1)
+    at_angle[free_angle] = np.arange(len(free_angle))
+    at_magnitude[free_magnitude] = len(free_angle) + np.arange(len(free_magnitude))
+    # entry by entry: of small matrices the slicing and stacking of scipy is most of the time
+    rows, columns, values = [], [], []
+    for derivatives, at_column in ((by_angle, at_angle), (by_magnitude, at_magnitude)):
+        row = np.repeat(np.arange(n), np.diff(derivatives.indptr))
+        column = at_column[derivatives.indices]
+        for part, at_row in ((derivatives.data.real, at_angle), (derivatives.data.imag, at_magnitude)):
+            kept = (at_row[row] >= 0) & (column >= 0)
+            rows.append(at_row[row][kept])
+            columns.append(column[kept])
+            values.append(part[kept])
+    size = len(free_angle) + len(free_magnitude)
+    where = (np.concatenate(rows), np.concatenate(columns))
+    return sparse.csc_matrix((np.concatenate(values), where), shape=(size, size))
