@@ -31,17 +31,17 @@ settings.load_profile("interarea")
 #: Files whose slow tests take longest, longest first: begun first, or a worker waits for another at the end.
 LONGEST = (
     "docs/test_site.py",
-    "platforms/test_same_bits.py",
-    "sweep/test_sweep_kills.py",
-    "faults/test_build_faults.py",
-    "conformance/test_check_behaviour.py",
-    "unit/models/importers/test_import_broken.py",
-    "faults/test_run_faults.py",
-    "unit/models/blocks/test_plant.py",
     "unit/cosim/study/test_study.py",
     "platforms/test_wheel.py",
+    "platforms/test_same_bits.py",
+    "fuzz/test_fuzz.py",
+    "faults/test_signals.py",
+    "fuzz/test_memory.py",
     "explorer/test_page_bits.py",
-    "property/test_synthesis_random.py",
+    "faults/test_build_faults.py",
+    "sweep/test_sweep_kills.py",
+    "unit/models/importers/test_import_broken.py",
+    "conformance/test_zero_findings.py",
     "faults/test_memory_faults.py",
 )
 
