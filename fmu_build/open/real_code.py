@@ -176,10 +176,6 @@ class RealCodeLibrary:
         if bad:
             raise FmuFileError(f"{path}: {', '.join(bad)}: type or width that the interface does not know")
 
-    def has(self, name: str) -> bool:
-        """Return whether the library has this function."""
-        return hasattr(self._c, name)
-
     def call(self, name: str, instance: _Instance) -> int:
         """Call a function of an instance; one that is left out does nothing."""
         if not hasattr(self._c, name):

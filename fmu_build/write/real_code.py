@@ -168,20 +168,21 @@ def _of_role(block: Block, role: Role) -> list[Variable]:
 
 def _ports(block: Block | Chain) -> tuple[list[_Port], list[_Port], list[_Port]]:
     """Inputs, outputs and parameters that the DLL shows; what a connection feeds is no input."""
-    if isinstance(block, Block):
-        own = [_of_role(block, "input"), _of_role(block, "output"), parameters_of(block)]
-        inputs, outputs, parameters = ([_Port(0, v.name, v) for v in group] for group in own)
-        return inputs, outputs, parameters
     exposed: tuple[list[_Port], list[_Port], list[_Port]] = ([], [], [])
-    fed = {target for _, target in block.connections}
-    for k, (name, b) in enumerate(block.members.items()):
+    chain = _as_chain(block)
+    fed = {target for _, target in chain.connections}
+    for k, (name, b) in enumerate(chain.members.items()):
         kind = "controller" if b.kind in ("controller", "supervisor") else "channel"
-        for ports, group in zip(exposed, _ports(b), strict=True):
-            for v in (p.variable for p in group):
-                shown = f"{name}.{v.name}" if v.role == "parameter" else shown_name(name, kind, v)
+        for ports, role in zip(exposed, ("input", "output", "parameter"), strict=True):
+            for v in parameters_of(b) if role == "parameter" else _of_role(b, role):
+                shown = f"{name}.{v.name}" if role == "parameter" else shown_name(name, kind, v)
                 if f"{name}.{v.name}" not in fed:
-                    ports.append(_Port(k, shown, v))
+                    ports.append(_Port(k, v.name if chain is not block else shown, v))
     return exposed
+
+
+def _as_chain(block: Block | Chain) -> Chain:
+    return block if isinstance(block, Chain) else Chain(block.name, {block.name: block})
 
 
 def _wires(chain: Chain) -> list[tuple[int, int, int, int, int]]:
@@ -214,7 +215,7 @@ def _wires(chain: Chain) -> list[tuple[int, int, int, int, int]]:
 
 def _check(block: Block | Chain, groups: Sequence[list[_Port]]) -> None:
     inputs, outputs, parameters = groups
-    members = block.members if isinstance(block, Chain) else {block.name: block}
+    members = _as_chain(block).members
     kinds = [b.kind for b in members.values()]
     strange = set(kinds) - set(CHAIN_KINDS) if isinstance(block, Chain) else {"plant"} & set(kinds)
     if strange or not 1 <= len(members) <= MOST_MEMBERS or max(len(inputs), len(outputs)) > MOST_SIGNALS:
@@ -239,7 +240,7 @@ def entries_of(block: Block | Chain, sample_time_s: float) -> dict[str, npt.Arra
     """Return the record: what Model_GetInfo tells, and the records of the members (c/dll/real_code.c)."""
     groups = _ports(block)
     _check(block, groups)
-    chain = block if isinstance(block, Chain) else Chain(block.name, {block.name: block})
+    chain = _as_chain(block)
     tables = [b.table for b in chain.members.values()]
     ports = [
         (p.variable.type != "Real", tables[p.member].value_reference(p.variable.name),
