@@ -21,7 +21,7 @@ from interarea.models.grid.network_tables import Form
 def compiled(sources: tuple[Path, ...], own: str = "plain_loop.c", *, fmi: bool = True) -> ctypes.CDLL:
     """Compile a C file of this folder with the `sources` of a block, as its FMU is compiled.
 
-    fmi : whether the FMI layer comes along: then the block's objects are those of its FMU, compiled once.
+    fmi : whether to compile the FMI layer too; the objects of the block are then shared with its FMU.
     """
     gather = source_files if fmi else gather_sources
     files = gather((Path(__file__).with_name(own), *sources))
