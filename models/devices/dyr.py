@@ -72,7 +72,8 @@ def device_for_dyr(record: DyrRecord, own: Iterable[Model] = ()) -> DyrDevice:
         )
     model, row = known[record.model]
     if len(record.fields) != len(row.fields):
-        hint = " (is the / of the record missing?)" if len(record.fields) > len(row.fields) else ""
+        less = len(record.fields) < len(row.fields)
+        hint = " (cut off? complete the record)" if less else " (is the / of the record missing?)"
         raise DeviceError(
             f"{record.where}: {record.model} has {len(record.fields)} fields, allowed: {len(row.fields)}, "
             f"{' '.join(row.fields)}{hint}"

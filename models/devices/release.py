@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from ..errors import BeyondLimit, DeviceError
-from .language.expression import evaluate, parse
+from .gates import GATES, spelled_out
+from .language.expression import Node, evaluate, parse
 from .language.structure import Model
 from .rest import BEYOND, rest_of
 
 ROOM = 0.1  #: a widened limit lies that share beyond the signal at rest
 _LEAST_ROOM = 0.01  #: pu
 _MOST = 12  #: limits of one device
+_STEPS, _REACHED = 6, 1e-12
 
 
 def released(
@@ -24,8 +26,8 @@ def released(
 ) -> dict[str, float]:
     """Return the parameters to change, with their new values, for the device to rest; as `rest_of`.
 
-    A limit is moved to a tenth beyond the signal, by the first parameter in it that moves it. room : as
-    `rest_of` takes it.
+    A limit is moved to a tenth beyond the signal, by the first parameter in it that moves it; a level (pu)
+    comes before a gain, and what is bounded by a parameter before that bound. room : as `rest_of` takes it.
 
     Raises
     ------
@@ -50,18 +52,27 @@ def _moved(
     """The parameter that moves the limit, and its value for which the signal has room."""
     point = rest_of(model, values, inputs, output, who, check=False)
     known = {**point.instance.values, **inputs, **point.signals}
-    limit = parse(error.limit, who)
+    limit = spelled_out(parse(error.limit, who), model)
     room = max(ROOM * abs(error.value), _LEAST_ROOM)
     expected = error.value + (room if error.above else -room)
-    for name in limit.names:
-        parameter = model.device.by_name.get(name)
-        if parameter is None:
-            continue
-        at = float(evaluate(limit, known))
-        slope = float(evaluate(limit, known | {name: known[name] + 1.0})) - at
-        if slope == 0.0:
-            continue
-        value = known[name] + (expected - at) / slope
-        if parameter.low <= value <= parameter.high:
-            return name, float(value)
+    bounds = {part.name for part in limit.args} if limit.op in GATES else set()
+    concerned = [model.device.by_name[name] for name in limit.names if name in model.device.by_name]
+    for parameter in sorted(concerned, key=lambda p: (p.name in bounds, p.unit != "pu")):
+        value = _solved(limit, parameter.name, known, expected)
+        if value is not None and parameter.low <= value <= parameter.high:
+            return parameter.name, value
     raise error
+
+
+def _solved(limit: Node, name: str, known: Mapping[str, float], expected: float) -> float | None:
+    """Value of `name` for which `limit`, linear in it or a gate of such, is as `expected`; None if none."""
+    value = float(known[name])
+    for _ in range(_STEPS):
+        at = float(evaluate(limit, {**known, name: value}))
+        if abs(at - expected) <= _REACHED * max(1.0, abs(expected)):
+            return value
+        slope = float(evaluate(limit, {**known, name: value + 1.0})) - at
+        if slope == 0.0:
+            return None
+        value += (expected - at) / slope
+    return None

@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 from ..errors import BeyondLimit, DeviceError
+from .gates import holding, led_on, spelled_out
 from .instance import Instance, Margin
 from .language.device import BASES
 from .language.element import Equation
@@ -161,11 +162,14 @@ class _Walk:
                 return _turned(inner, name, float(evaluate(outer, known)), known)
             except _Stuck:
                 pass
-        root = _root(lambda z: _residual(e, known | {name: z}))
+        free = replace(e, left=led_on(e.left, name), right=led_on(e.right, name))
+        root = None
+        for tried in (e,) if free == e else (e, free):
+            root = _root(lambda z, e=tried: _residual(e, known | {name: z}))  # type: ignore[misc]
+            if root is not None:
+                break
         if root is None:
-            holds = _holding(e, name, known)
-            what = holds or f"no {name} found at rest from {e.left} = {e.right}"
-            raise DeviceError(f"{self.who}: {what}")
+            raise DeviceError(f"{self.who}: no {name} found at rest from {e.left} = {e.right}")
         return root
 
     def tear(self) -> None:
@@ -197,28 +201,6 @@ class _Walk:
                 del self.equations[closing[0]]
                 return
         raise DeviceError(f"{self.who}: no rest found for {', '.join(sorted(self.unknown))}")
-
-
-def _holding(e: Equation, name: str, known: Mapping[str, float]) -> str:
-    """Which limit or gate keeps the known left side from its value, in words; empty when none does."""
-    if e.left.op != "name" or e.left.name not in known:
-        return ""
-    target, node = known[e.left.name], e.right
-    while node.op in ("min", "max", "clamp") and name in node.names:
-        at = next(k for k, part in enumerate(node.args) if name in part.names)
-        upper = {"min": range(len(node.args)), "max": (), "clamp": (2,)}[node.op]
-        for k, part in enumerate(node.args):
-            if name in part.names:
-                continue
-            value = float(evaluate(part, known))
-            if (value < target) if k in upper else (value > target):
-                word = "below" if k in upper else "above"
-                return (
-                    f"{e.left} is {target:.6g} at rest, but {part} = {value:.6g} holds it {word}; change the "
-                    "parameters in it or the dispatch"
-                )
-        node = node.args[at]
-    return ""
 
 
 def _residual(e: Equation, known: Mapping[str, float]) -> float:
@@ -388,16 +370,40 @@ def _check_still(
         if not abs(expected - got) <= 1e-8 * max(1.0, abs(expected)):
             limits = str(element.u) if isinstance(element, Plain) else str(element.line.node)
             word = "above" if expected > got else "below"
+            _check_gates(walk, name, who)
             raise DeviceError(
                 f"{who}: {name} is {expected:.6g} at rest, {word} what {limits} = {got:.6g} leaves; change "
                 "the parameters in it or the dispatch"
             )
     for name, value, rate in zip(instance.state_names, states, rates, strict=True):
         if not abs(rate) <= STILL * max(1.0, abs(value)) * _stiffness(instance, name):
+            if name in walk.model.elements:
+                _check_gates(walk, name, who)
             raise DeviceError(
                 f"{who}: {name} does not stand still at rest: it is {value:.6g} and moves by "
                 f"{float(rate):.3g} a second"
             )
+
+
+def _check_gates(walk: _Walk, name: str, who: str) -> None:
+    """Refuse a gate or clamp before `name` that passes something else than the rest needs."""
+    element = walk.model.elements[name]
+    if element.line.option("rest") is not None:
+        return
+    if isinstance(element, Plain):
+        e = Equation(Node("name", name=name), element.u, name)
+    else:
+        e = element.at_rest(walk.instance.on)
+    hold = holding(e, walk.known)
+    if hold is not None:
+        passed = float(evaluate(hold.limit, walk.known))
+        spelled = spelled_out(hold.limit, walk.model)
+        what = f"{hold.limit} = {spelled}" if spelled != hold.limit else str(spelled)
+        raise BeyondLimit(
+            f"{who}: {name} is {walk.known[name]:.6g} at rest, but {what} = {passed:.6g} holds it "
+            f"{'below' if hold.above else 'above'}; change the parameters in it or the dispatch",
+            signal=name, value=hold.value, limit=str(hold.limit), above=hold.above,
+        )  # fmt: skip
 
 
 def _stiffness(instance: Instance, name: str) -> float:

@@ -44,13 +44,23 @@ _CURRENTS = "; --converters current takes converters as constant currents"
 #: why these are not modelled
 _LOAD = "a load of many motors and electronics, which LOAD of the RAW stands for"
 _WIND = "the drive train of a wind plant, which acts through PFLAG and Pref of its electrical control"
-_LIMITER = "an excitation limiter, which acts only beyond the machine's rating"
+_OVER = (
+    "an over-excitation limiter, which lowers the exciter's reference seconds after the field went above its "
+    "rating; left out, nothing takes such a field back, and modes at rest stay the same"
+)
+_UNDER = (
+    "an under-excitation limiter, which raises the exciter's reference where a machine takes too much Q; "
+    "left out, nothing stops that"
+)
 _WHY = {
     "PSSSIM": "a stabilizer of GridPACK, fed by the frequencies of other buses, which no vendor describes",
     "DERA1": "many small converters that trip by voltage, frequency and time",
     **dict.fromkeys(("CMLDBLU1", "CMLDBLU2", "ACMTBLU1", "CIM5BL", "CIM6BL", "CLODBL"), _LOAD),
     **dict.fromkeys(("WTDTA1", "WTARA1", "WTPTA1", "WTTQA1"), _WIND),
-    **dict.fromkeys(("MAXEX1", "MAXEX2", "MNLEX1", "MNLEX2", "UEL1", "UEL2", "OEL1B"), _LIMITER),
+    **dict.fromkeys(("MAXEX1", "MAXEX2", "OEL1B"), _OVER),
+    **dict.fromkeys(("MNLEX1", "MNLEX2", "UEL1", "UEL2"), _UNDER),
+    "GDFORM": "GridPACK's record of a grid-forming converter with droop; REGFMA1 is the published one",
+    "REGCC1": "a converter with an inner current loop and a phase-locked loop",
 }
 
 #: models that only trip or measure
@@ -375,7 +385,7 @@ def _unknown(record: DyrRecord, records: Collection[str]) -> str:
     if record.user and model not in _WHY:
         advice = f"; draw it as a device named {model} and give its file with --device"
     elif model in CONVERTERS:
-        advice = _CURRENTS
+        advice = f": {_WHY[model]}{_CURRENTS}" if model in _WHY else _CURRENTS
     elif model in _WHY:
         advice = f": {_WHY[model]}; --leave-out {model} goes on without it"
     else:

@@ -174,6 +174,11 @@ def _compare_reactances(grid: StaticGrid, names: Sequence[str], dynamics: Dynami
     for unit, name in zip(grid.units, names, strict=True):
         row = dynamics.rows.get(name, {})
         if "Xd2" not in row:
+            if row and not unit.x > 0.0:
+                raise CaseError(
+                    f"{unit.where}: ZX = {unit.x:g}, allowed: above 0, the reactance behind which GENCLS of "
+                    f"{dynamics.where[name]} stands; give it (field ZX of the unit)"
+                )
             continue
         if abs(row["Xd2"] - unit.x) > 1e-6:
             report.assume("X''d of the DYR taken, ZX of the RAW is another", unit.where)

@@ -10,7 +10,8 @@ import pytest
 from interarea.models.case.case import load_case
 from interarea.models.devices.library import library
 from interarea.models.devices.release import released
-from interarea.models.errors import DeviceError
+from interarea.models.devices.rest import rest_of
+from interarea.models.errors import BeyondLimit
 from interarea.models.grid.control_tables import StartError
 from interarea.models.grid.equilibrium import operating_point
 from interarea.models.grid.start import release_limits, start_of
@@ -66,13 +67,40 @@ def test_a_limit_that_moves_is_widened_by_the_parameter_in_it():
     assert changed == {"VRMAX": pytest.approx((1.1 * 1.8 + 0.1 * 1.9) / 0.95, rel=1e-9)}
 
 
-def test_what_is_no_limit_is_not_released():
-    """GAST above its temperature limit: no clamp is in the way but the gate before it."""
+def test_a_gate_that_holds_the_output_is_released():
+    """GAST above its temperature limit AT + KT (AT - x3): AT is moved, closed form, not the gain KT."""
     model = library()["gast"]
     values = {"R": 0.05, "T1": 0.4, "T2": 0.1, "T3": 3.0, "AT": 0.5, "KT": 2.0, "VMIN": 0.0, "VMAX": 1.1}
     values |= {"Dturb": 0.0, "MBASE": 100.0, "FBASE": 60.0}
-    with pytest.raises(DeviceError, match="x1 does not stand still at rest"):
-        released(model, values, {"slip": 0.0, "pe": 0.8}, 0.8, "G1.governor")
+    seen = {"slip": 0.0, "pe": 0.8}
+    with pytest.raises(
+        BeyondLimit, match=r"x1 is 0.8 at rest, but limit = AT \+ KT\*\(AT - x3\) = -0.1 holds it below"
+    ):
+        rest_of(model, values, seen, 0.8, "G1.governor")
+    changed = released(model, values, seen, 0.8, "G1.governor")
+    assert changed == {"AT": pytest.approx((1.1 * 0.8 + 2.0 * 0.8) / 3.0, rel=1e-9)}
+    rest_of(model, values | changed, seen, 0.8, "G1.governor")
+
+
+def test_a_gate_behind_a_loop_is_released():
+    """ST6B above its field current limit KLR (KCI ILR - ifd): ILR is moved, closed form."""
+    model = library()["st6b"]
+    values = {p.name: p.default for p in model.device.parameters} | {"KPA": 50.0, "KIA": 45.0, "KDA": 0.0}
+    values |= {"TDA": 0.0, "VAMAX": 5.0, "VAMIN": -4.0, "KFF": 1.0, "KM": 1.0, "KG": 1.0, "TG": 0.02}
+    values |= {
+        "KCI": 1.06,
+        "KLR": 17.0,
+        "ILR": 1.5,
+        "VRMAX": 5.0,
+        "VRMIN": -4.0,
+        "MBASE": 100.0,
+        "FBASE": 60.0,
+    }
+    seen = dict.fromkeys(model.device.inputs, 0.0) | {"vt": 1.0, "vc": 1.0, "ifd": 2.0}
+    with pytest.raises(BeyondLimit, match=r"vr is 2 at rest, but max\(vl, VRMIN\) = .* holds it below"):
+        rest_of(model, values, seen, 2.0, "G1.exciter")
+    changed = released(model, values, seen, 2.0, "G1.exciter")
+    assert changed == {"ILR": pytest.approx((1.1 * 2.0 / 17.0 + 2.0) / 1.06, rel=1e-9)}
 
 
 def test_an_import_says_how_its_controls_start(tmp_path):

@@ -33,11 +33,22 @@ def loads(imported: Imported) -> dict[str, tuple[float, float, float, float]]:
 
 def test_a_record_left_out_is_said(tmp_path: Path) -> None:
     limiter = "1 'MAXEX2' 1 1.0 2.6 1.05 40 1.1 20 1.25 5 1.0 -0.05 0.0 /\n"
-    with pytest.raises(CaseError, match="--leave-out MAXEX2 goes on without it"):
+    with pytest.raises(
+        CaseError, match=r"an over-excitation .* left out, .*--leave-out MAXEX2 goes on without"
+    ):
         taken(tmp_path, SEXS + limiter)
     left = taken(tmp_path, SEXS + limiter, leave_out=["maxex2"])
     assert left.report.assumed["MAXEX2 left out, as was asked"] == 1
     assert left.case == taken(tmp_path, SEXS).case
+
+
+def test_a_classical_machine_without_reactance_names_the_line_of_its_unit(tmp_path: Path) -> None:
+    unit = "1,'1 ',700.0,0,99,-99,1.03,0,900.0,0.0025,"
+    line = RAW[: RAW.index(unit)].count("\n") + 1
+    (tmp_path / "grid.raw").write_text(RAW.replace(f"{unit}0.3", f"{unit}0.0"))
+    (tmp_path / "grid.dyr").write_text("1 'GENCLS' '1' 0 0 /\n" + MACHINES.split("\n", 1)[1])
+    with pytest.raises(CaseError, match=rf"grid\.raw:{line}: ZX = 0, allowed: above 0, .*grid\.dyr:1"):
+        import_grid(tmp_path / "grid.raw", dyr=tmp_path / "grid.dyr")
 
 
 @pytest.mark.parametrize("option", ["leave_out", "replace_models"])
