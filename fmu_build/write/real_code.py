@@ -169,11 +169,12 @@ def _of_role(block: Block, role: Role) -> list[Variable]:
 def _ports(block: Block | Chain) -> tuple[list[_Port], list[_Port], list[_Port]]:
     """Inputs, outputs and parameters that the DLL shows; what a connection feeds is no input."""
     exposed: tuple[list[_Port], list[_Port], list[_Port]] = ([], [], [])
+    roles: tuple[Role, ...] = ("input", "output", "parameter")
     chain = _as_chain(block)
     fed = {target for _, target in chain.connections}
     for k, (name, b) in enumerate(chain.members.items()):
         kind = "controller" if b.kind in ("controller", "supervisor") else "channel"
-        for ports, role in zip(exposed, ("input", "output", "parameter"), strict=True):
+        for ports, role in zip(exposed, roles, strict=True):
             for v in parameters_of(b) if role == "parameter" else _of_role(b, role):
                 shown = f"{name}.{v.name}" if role == "parameter" else shown_name(name, kind, v)
                 if f"{name}.{v.name}" not in fed:
