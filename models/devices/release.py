@@ -13,7 +13,8 @@ from .rest import BEYOND, rest_of
 ROOM = 0.1  #: a widened limit lies that share beyond the signal at rest
 _LEAST_ROOM = 0.01  #: pu
 _MOST = 12  #: limits of one device
-_STEPS, _REACHED = 6, 1e-12
+_STEPS = 6  #: of Newton's method: one for a linear limit, one more for each gate that changes sides
+_REACHED = 1e-12  #: relative, some thousand units of rounding
 
 
 def released(

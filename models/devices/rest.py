@@ -162,12 +162,10 @@ class _Walk:
                 return _turned(inner, name, float(evaluate(outer, known)), known)
             except _Stuck:
                 pass
-        free = replace(e, left=led_on(e.left, name), right=led_on(e.right, name))
-        root = None
-        for tried in (e,) if free == e else (e, free):
-            root = _root(lambda z, e=tried: _residual(e, known | {name: z}))  # type: ignore[misc]
-            if root is not None:
-                break
+        root = _root_of(e, name, known)
+        if root is None:  # a gate may hold it: the rest without gates lets `_check_gates` name which
+            free = replace(e, left=led_on(e.left, name), right=led_on(e.right, name))
+            root = None if free == e else _root_of(free, name, known)
         if root is None:
             raise DeviceError(f"{self.who}: no {name} found at rest from {e.left} = {e.right}")
         return root
@@ -201,6 +199,10 @@ class _Walk:
                 del self.equations[closing[0]]
                 return
         raise DeviceError(f"{self.who}: no rest found for {', '.join(sorted(self.unknown))}")
+
+
+def _root_of(e: Equation, name: str, known: Mapping[str, float]) -> float | None:
+    return _root(lambda z: _residual(e, {**known, name: z}))
 
 
 def _residual(e: Equation, known: Mapping[str, float]) -> float:
