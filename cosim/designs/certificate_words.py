@@ -5,13 +5,15 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from interarea.design.delay.signal_conditions import Condition
 from interarea.models.case.case import load_case
 
 from ..scenario.names import CONTROLLER_NAMES
-from .acceptance import AcceptanceTable
+
+if TYPE_CHECKING:
+    from .acceptance import AcceptanceTable
 
 
 class Judging(Protocol):

@@ -20,6 +20,7 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
+from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
@@ -68,6 +69,7 @@ STYLE: Any = {
     "path.simplify": True,
     "path.simplify_threshold": 0.3,
 }
+_LAID_OUT: Any = {"figure.autolayout": False, "figure.constrained_layout.use": False}
 WIDTH = 6.4  #: inches; one text column
 
 
@@ -87,14 +89,29 @@ def save_figure(figure: Figure, path: Path, *, transparent: bool = False, outlin
     """
     metadata = {"Date": None, "Creator": "interarea"} if path.suffix == ".svg" else None
     drawn = io.BytesIO()
-    with mpl.rc_context(STYLE | ({} if outlines else {"svg.fonttype": "none"})), _nothing_ignored():
+    style = STYLE | _LAID_OUT | ({} if outlines else {"svg.fonttype": "none"})
+    with mpl.rc_context(style), _nothing_ignored():
+        if path.suffix == ".svg":
+            _lay_out(figure)
         figure.savefig(drawn, format=path.suffix[1:], transparent=transparent, metadata=metadata, dpi=160)
-    with mpl.rc_context({"figure.autolayout": False, "figure.constrained_layout.use": False}):
         figure.set_layout_engine(None)  # laid out: saved again, it is drawn once instead of twice
     data = drawn.getvalue()
     if path.suffix == ".svg":  # a path on one line instead of one line a point
         data = re.sub(rb'(?<= d=")[^"]*', lambda d: b" ".join(d.group().split()), data)
     return write_whole(path, data)
+
+
+def _lay_out(figure: Figure) -> None:
+    """Lay a figure out for SVG where that is still to be done; `savefig` would draw all of it for that."""
+    engine, canvas, dpi = figure.get_layout_engine(), figure.canvas, figure.dpi
+    if engine is None:
+        return
+    FigureCanvasSVG(figure)  # text is as wide as this canvas measures it
+    figure.dpi = 72  # as in an SVG
+    engine.execute(figure)
+    figure.dpi = dpi
+    figure.set_canvas(canvas)
+    figure.set_layout_engine(None)
 
 
 @contextmanager

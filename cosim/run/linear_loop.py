@@ -29,8 +29,6 @@ from ..scenario.signal_paths import SignalPath, signal_faults_of
 from .artefacts import linearised, matrices_of_fmu
 
 if TYPE_CHECKING:
-    import control
-
     from interarea.models.case.case import Case
 
     from ..scenario.scenario import Scenario
@@ -164,10 +162,10 @@ def _linear(loop: Loop, buses: Mapping[str, int]) -> tuple[LinearMatrices, dict[
     return known
 
 
-def _controller(loop: Loop, part: Instance, lost: frozenset[str]) -> control.StateSpace:
+def _controller(loop: Loop, part: Instance, lost: frozenset[str]) -> LinearMatrices:
     """The linear controller that acts while these signals are lost, speeds in rad/s."""
     if loop.bank is not None:
-        return loop.bank.acting(lost).system
+        return loop.bank.acting(lost).matrices
     starts = {v.name: part.file.start_of(v.name) for v in part.file.model.variables if "[" in v.name}
     starts |= {k: float(v) for k, v in part.start.items() if k in starts}
     ports = part.file.description

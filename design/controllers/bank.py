@@ -11,7 +11,7 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -21,12 +21,10 @@ from interarea.models.blocks.variables import Block
 from interarea.models.documents import DocumentError, parse_json, read_document
 from interarea.models.files import write_whole
 
+from ..linear.matrices import LinearMatrices
 from ..lmi.problem import Matrix
 from .controller import Controller, ControllerError, document, guard_of, plain, table_html
 from .json_text import json_text
-
-if TYPE_CHECKING:
-    import control
 
 SCHEMA = 1
 OFF = "off"  #: the member that does nothing, for sets of signals no controller can live on
@@ -135,8 +133,8 @@ class ControllerBank:
         """Return member -> (A, B, C, D) with a column of B and D for each signal of the bank; OFF if used."""
         matrices: dict[str, Matrices] = {}
         for member in self.members:
-            K, columns = member.system, [self.inputs.index(s) for s in member.inputs]
-            B, D = np.zeros((K.nstates, len(self.inputs))), np.zeros((K.noutputs, len(self.inputs)))
+            K, columns = member.matrices, [self.inputs.index(s) for s in member.inputs]
+            B, D = np.zeros((len(K.A), len(self.inputs))), np.zeros((len(K.C), len(self.inputs)))
             B[:, columns], D[:, columns] = K.B, K.D
             matrices[member.name] = (np.asarray(K.A), B, np.asarray(K.C), D)
         if any(self.active(s) == OFF for s in self.signal_sets()):
@@ -272,13 +270,11 @@ def _square(entries: Any) -> Matrix | None:
 
 def _of_used_signals(
     A: Matrix, B: Matrix, C: Matrix, D: Matrix, inputs: Sequence[str], outputs: Sequence[str]
-) -> control.StateSpace:
+) -> LinearMatrices:
     """Return a member as a system of the inputs that it reads."""
     used = [j for j in range(len(inputs)) if np.any(B[:, j]) or np.any(D[:, j])]
     names = [inputs[j] for j in used]
-    import control
-
-    return control.ss(A, B[:, used], C, D[:, used], inputs=names, outputs=list(outputs))
+    return LinearMatrices.named(A, B[:, used], C, D[:, used], names, outputs)
 
 
 def load_controller(path: str | Path) -> Controller | ControllerBank:

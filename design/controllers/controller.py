@@ -22,7 +22,8 @@ from interarea.models.documents import DocumentError, parse_json, read_document
 from interarea.models.errors import UserError
 from interarea.models.files import write_whole
 
-from ..linear.systems import LinearSystemError, SystemLike, state_space
+from ..linear.matrices import LinearMatrices
+from ..linear.systems import LinearSystemError, SystemLike, require_finite, state_space
 from .json_text import json_text
 
 if TYPE_CHECKING:
@@ -51,6 +52,33 @@ def table_html(title: str, rows: Mapping[str, str]) -> str:
     return f"<p><b>{html.escape(title)}</b></p><table>{body}</table>"
 
 
+class _SystemOnDemand:
+    """The field `Controller.system`: matrices become a `StateSpace` when one is first read.
+
+    python-control takes a second to load, and a run needs no more than the matrices.
+    """
+
+    def __get__(self, controller: Controller | None, owner: type) -> control.StateSpace:
+        if controller is None:
+            raise AttributeError("system")  # a field without default
+        stored = vars(controller)
+        if "_system" not in stored:
+            stored["_system"] = controller.matrices.state_space(controller.name)
+        return stored["_system"]
+
+    def __set__(self, controller: Controller, system: SystemLike | LinearMatrices) -> None:
+        what, stored = f"controller {controller.name}", vars(controller)
+        try:
+            if isinstance(system, LinearMatrices):
+                require_finite(system, what)
+                stored["_matrices"] = system
+            else:
+                stored["_system"] = state_space(system, what)
+                stored["_matrices"] = LinearMatrices.of(stored["_system"])
+        except LinearSystemError as error:
+            raise ControllerError(str(error)) from None
+
+
 @dataclass(frozen=True)
 class Controller:
     """A linear controller u = +K y with its provenance.
@@ -58,7 +86,8 @@ class Controller:
     Attributes
     ----------
     name : a C identifier, e.g. "wdc".
-    system : inputs named by signal (``G2_dw`` ... in rad/s), outputs by actuator (``G4_vs`` in pu).
+    system : inputs named by signal (``G2_dw`` ... in rad/s), outputs by actuator (``G4_vs`` in pu);
+        `matrices` are the same without python-control.
     limit_pu : bound of the magnitude of every output.
     design : how it was made: method, specification, orders, gamma ...: JSON values.
     certificate : what was checked on the full plant; None before certification.
@@ -66,19 +95,15 @@ class Controller:
     """
 
     name: str
-    system: control.StateSpace
+    system: _SystemOnDemand = _SystemOnDemand()
     limit_pu: float = 0.15
     design: Mapping[str, Any] = field(default_factory=dict)
     certificate: Mapping[str, Any] | None = None
     guard: Guard | None = None
 
     def __post_init__(self) -> None:
-        if not self.name.isidentifier():
+        if not (isinstance(self.name, str) and self.name.isidentifier()):
             raise ControllerError(f"controller: name is {self.name!r}, wanted letters, digits and _")
-        try:
-            object.__setattr__(self, "system", state_space(self.system, f"controller {self.name}"))
-        except LinearSystemError as error:
-            raise ControllerError(str(error)) from None
         if not (self.limit_pu > 0.0 and math.isfinite(self.limit_pu)):
             raise ControllerError(
                 f"controller {self.name}: limit_pu is {self.limit_pu}, wanted a positive number"
@@ -113,22 +138,28 @@ class Controller:
         return cls(system.name if str(system.name).isidentifier() else "controller", system)
 
     @property
+    def matrices(self) -> LinearMatrices:
+        """A, B, C, D with the names of signals and actuators, units as in `system`."""
+        made: LinearMatrices = vars(self)["_matrices"]
+        return made
+
+    @property
     def inputs(self) -> tuple[str, ...]:
         """Names of the signals."""
-        return tuple(self.system.input_labels)
+        return tuple(self.matrices.input_labels)
 
     @property
     def outputs(self) -> tuple[str, ...]:
         """Names of the actuators."""
-        return tuple(self.system.output_labels)
+        return tuple(self.matrices.output_labels)
 
     @property
     def order(self) -> int:
         """Number of states."""
-        return int(self.system.nstates)
+        return self.matrices.nstates
 
     def _repr_html_(self) -> str:
-        poles = np.sort(np.abs(np.linalg.eigvals(np.asarray(self.system.A))))
+        poles = np.sort(np.abs(np.linalg.eigvals(self.matrices.A)))
         results = {True: "passed", False: "not passed", None: "on record"}
         judged = None if self.certificate is None else self.certificate.get("passed")
         lines = {
@@ -144,12 +175,8 @@ class Controller:
 
     def scaled(self, gain: float = 1.0, limit_pu: float | None = None) -> Controller:
         """Return this controller, uncertified, with its output times `gain` before its limit."""
-        import control  # takes a second to load
-
-        K = self.system
-        system = control.ss(
-            K.A, K.B, gain * K.C, gain * K.D, inputs=self.inputs, outputs=self.outputs, name=self.name
-        )
+        K = self.matrices
+        system = replace(K, C=gain * K.C, D=gain * K.D)
         limit = self.limit_pu if limit_pu is None else limit_pu
         return replace(self, system=system, limit_pu=limit, certificate=None)
 
@@ -159,7 +186,7 @@ class Controller:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the controller as JSON values, which `from_dict` reads."""
-        K = self.system
+        K = self.matrices
         return {
             "schema": SCHEMA,
             "name": self.name,
@@ -208,19 +235,19 @@ class Controller:
         missing = [k for k in ("name", "inputs", "outputs", "A", "B", "C", "D") if k not in data]
         if missing:
             raise ControllerError(f"missing {', '.join(missing)}")
-        import control
-
         for key in "ABCD":
             if not isinstance(data[key], list):
                 raise ControllerError(f"{key} = {data[key]!r}, allowed: a matrix as a list of rows")
+        for key in ("inputs", "outputs"):
+            if not _are_names(data[key]):
+                raise ControllerError(f"{key} = {data[key]!r}, allowed: different names without dots")
         n, p, m = len(data["A"]), len(data["outputs"]), len(data["inputs"])
         try:
             shapes = {"A": (n, n), "B": (n, m), "C": (p, n), "D": (p, m)}
-            matrices = [np.array(data[k], dtype=float).reshape(shape) for k, shape in shapes.items()]
-            system = control.ss(*matrices, inputs=data["inputs"], outputs=data["outputs"], name=data["name"])
+            A, B, C, D = (np.array(data[k], dtype=float).reshape(shape) for k, shape in shapes.items())
             return cls(
                 name=data["name"],
-                system=system,
+                system=LinearMatrices.named(A, B, C, D, data["inputs"], data["outputs"]),
                 limit_pu=float(data.get("limit_pu", 0.15)),
                 guard=None if data.get("guard") is None else guard_of(data["guard"]),
                 design=data.get("design", {}),
@@ -243,7 +270,7 @@ class Controller:
                 f"controller {self.name}: omega_b is {omega_b}, wanted a positive number, rad/s"
             )
         scale = np.array([omega_b if name.endswith("_dw") else 1.0 for name in self.inputs])
-        K = self.system
+        K = self.matrices
         design, certificate = plain(self.design), plain(self.certificate)
         documentation = {"Design": document(design)}
         if self.certificate is not None:
@@ -276,7 +303,7 @@ class Controller:
 
 def matrices_of_parameters(
     starts: Mapping[str, float], inputs: Sequence[str], outputs: Sequence[str], omega_b: float
-) -> control.StateSpace:
+) -> LinearMatrices:
     """Return the linear system in a controller FMU's parameters A[1,1].. (pu); speeds become rad/s.
 
     Raises
@@ -293,17 +320,22 @@ def matrices_of_parameters(
             [[starts[f"{letter}[{i + 1},{j + 1}]"] for j in range(columns)] for i in range(rows)]
         ).reshape(rows, columns)
 
-    import control
-
     scale = np.array([omega_b if name.endswith("_dw") else 1.0 for name in inputs])
-    return control.ss(
+    return LinearMatrices.named(
         matrix("A", n, n),
         matrix("B", n, len(inputs)) / scale,
         matrix("C", len(outputs), n),
         matrix("D", len(outputs), len(inputs)) / scale,
-        inputs=list(inputs),
-        outputs=list(outputs),
+        inputs,
+        outputs,
     )
+
+
+def _are_names(provided: object) -> bool:
+    """Whether these are different names that python-control takes too."""
+    if not isinstance(provided, list) or not all(isinstance(name, str) for name in provided):
+        return False
+    return len(set(provided)) == len(provided) and not any("." in name for name in provided)
 
 
 def guard_of(data: Any) -> Guard:

@@ -23,6 +23,7 @@ import numpy.typing as npt
 from interarea.models.blocks.pmu import PmuFilter
 
 from ..linear.linearise import select
+from ..linear.matrices import LinearMatrices
 from ..linear.systems import state_space
 from ..modes.modes import damping_ratio
 from .characteristic_roots import DelayError
@@ -30,8 +31,6 @@ from .transfer_matrix import TransferMatrix, transfer_matrix
 
 if TYPE_CHECKING:
     import control
-
-    from ..linear.matrices import LinearMatrices
 
 ComplexArray = npt.NDArray[np.complex128]
 Transfer = Callable[[ComplexArray], ComplexArray]
@@ -125,8 +124,11 @@ class LoopFunction:
     plant : without reference angle, speeds in rad/s. controller : u = + K y, names among the plant's.
     """
 
-    def __init__(self, plant: control.StateSpace | LinearMatrices, controller: control.StateSpace) -> None:
-        state_space(controller, "controller")
+    def __init__(
+        self, plant: control.StateSpace | LinearMatrices, controller: control.StateSpace | LinearMatrices
+    ) -> None:
+        if not isinstance(controller, LinearMatrices):
+            state_space(controller, "controller")
         self.signals = tuple(controller.input_labels)
         G = select(plant, list(controller.output_labels), list(self.signals))
         self._G, self._K = transfer_matrix(G), transfer_matrix(controller)

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
+
+if TYPE_CHECKING:
+    import control
 
 Matrix = npt.NDArray[np.float64]
 
@@ -35,3 +39,23 @@ class LinearMatrices:
     def nstates(self) -> int:
         """The number n of states."""
         return len(self.state_labels)
+
+    @classmethod
+    def of(cls, system: control.StateSpace) -> LinearMatrices:
+        """Return the matrices and names of a system of python-control."""
+        A, B, C, D = (np.asarray(M, dtype=float) for M in (system.A, system.B, system.C, system.D))
+        return cls(A, B, C, D, system.state_labels, system.input_labels, system.output_labels)
+
+    @classmethod
+    def named(
+        cls, A: Matrix, B: Matrix, C: Matrix, D: Matrix, inputs: Sequence[str], outputs: Sequence[str]
+    ) -> LinearMatrices:
+        """Return matrices with the names of states that python-control gives by itself."""
+        return cls(A, B, C, D, [f"x[{k}]" for k in range(len(A))], list(inputs), list(outputs))
+
+    def state_space(self, name: str) -> control.StateSpace:
+        """Return this as a system of python-control, which takes a second to load."""
+        import control
+
+        labels = {"states": self.state_labels, "inputs": self.input_labels, "outputs": self.output_labels}
+        return control.ss(self.A, self.B, self.C, self.D, **labels, name=name)

@@ -13,6 +13,8 @@ import numpy as np
 
 from interarea.models.errors import UserError
 
+from .matrices import LinearMatrices
+
 if TYPE_CHECKING:
     import control
 
@@ -60,10 +62,15 @@ def state_space(provided: object, what: str = "system") -> control.StateSpace:
         raise LinearSystemError(
             f"{what}: is in discrete time (dt {step}), wanted continuous: the model it was sampled from"
         )
+    require_finite(system, what)
+    return system
+
+
+def require_finite(system: control.StateSpace | LinearMatrices, what: str) -> None:
+    """Raise LinearSystemError where a matrix of a system holds a number that is not finite."""
     for name in ("A", "B", "C", "D"):
         if not np.all(np.isfinite(getattr(system, name))):
             raise LinearSystemError(f"{what}: {name} has numbers that are not finite")
-    return system
 
 
 def kind_of(thing: object) -> str:

@@ -9,13 +9,13 @@ it still is what was written.
 
 from __future__ import annotations
 
-import ast
 import contextlib
 import hashlib
 import json
 import logging
 import os
 import platform
+import re
 import shutil
 import sys
 import time
@@ -29,7 +29,6 @@ from typing import Any
 
 import numpy as np
 
-from interarea.models.documents import parse_python
 from interarea.models.files import at_once, settle, temporary_folder, write_whole
 from interarea.models.files import default_cache as default_cache
 
@@ -37,6 +36,10 @@ _log = logging.getLogger("interarea")
 _PROOF = ".sha256"
 COMPILERS_OWN = "zig"  #: folder in which the compiler keeps what it compiled before
 ROOMS = Path(__file__).resolve().parents[2]
+_IMPORT = re.compile(
+    r"^[ \t]*(?:from +([\w.]+) +import +(?:\(((?:[^)#]|#.*)*)\)|(.*))|import +(.*))", re.MULTILINE
+)
+_NAME = re.compile(r"(\w[\w.]*)(?: +as +\w+)?")
 
 
 def content_hash(*parts: object) -> str:
@@ -110,17 +113,17 @@ def _source_file(name: str) -> Path | None:
 
 @forever
 def _imports(package: str, source: bytes) -> list[str]:
-    imports = []
-    todo: list[Any] = list(parse_python(source).body)
-    while todo:  # statements only: no expression holds an import, and they are most of a tree
-        node = todo.pop()
-        for block in ("body", "orelse", "finalbody", "handlers", "cases"):
-            todo += getattr(node, block, ())
-        if isinstance(node, ast.Import):
-            imports += [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom):
-            name = resolve_name("." * node.level + (node.module or ""), package)
-            imports += [name, *(f"{name}.{alias.name}" for alias in node.names)]
+    """Return what those lines of a source name that begin as imports do: parsing it all takes .2 s of a run.
+
+    A line of text that begins so does no harm: it names no module, or one whose changes count too.
+    """
+    imports: list[str] = []
+    for start, several, one, plain in _IMPORT.findall(source.decode("utf-8")):
+        names = _NAME.findall(re.sub("#.*", "", several or one or plain))
+        if start:
+            origin = resolve_name(start, package)
+            names = [origin, *(f"{origin}.{name}" for name in names)]
+        imports += names
     return imports
 
 

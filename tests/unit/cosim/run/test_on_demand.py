@@ -79,11 +79,13 @@ def test_a_warm_run_makes_few_calls() -> None:
 
 
 @pytest.mark.slow
-def test_the_files_of_a_run_are_written_without_python_control(tmp_path: Path) -> None:
-    """Figure and report too, which an earlier state drew with it loaded: a second of each run."""
+@pytest.mark.parametrize("controller", ["none", "ftc", "active"])
+def test_the_files_of_a_run_are_written_without_python_control(tmp_path: Path, controller: str) -> None:
+    """Figure and report too, with a controller or a bank of them: a second of each run, wherever it lies."""
+    scenario = {**SCENARIO, "controller": controller}
     code = (
         "import sys; from interarea.cosim.run.run import write_run; from pathlib import Path; "
-        f"files = write_run({SCENARIO!r}, Path({str(tmp_path)!r}))[1]; "
+        f"files = write_run({scenario!r}, Path({str(tmp_path)!r}))[1]; "
         "print(*sorted({f.suffix for f in files}), *{'control', 'scipy.signal', 'cvxpy'} & set(sys.modules))"
     )
     done = subprocess.run(

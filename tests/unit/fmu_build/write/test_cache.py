@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import logging
 import os
 from collections.abc import Callable
+from importlib.util import resolve_name
 from pathlib import Path
 
 import numpy as np
@@ -77,8 +79,8 @@ def test_a_key_follows_every_form_of_import(tmp_path: Path, monkeypatch: pytest.
     """A form that is overlooked serves stale designs from the cache: each must reach the file it names."""
     files = {
         "design/start.py": "from ..models.sub.deep import value\nfrom . import beside\n",
-        "design/beside.py": "def late():\n    import interarea.models.plain\n"
-        "    from interarea.models import named\n",
+        "design/beside.py": "def late():\n    import os, interarea.models.plain as plain\n"
+        "    from interarea.models import (  # two\n        sub as other,  # (one)\n        named,\n    )\n",
         "models/sub/__init__.py": "",
         "models/sub/deep.py": "from ..above import value\nfrom .near import value\n",
         "models/sub/near.py": "from . import cousin\n",
@@ -97,6 +99,21 @@ def test_a_key_follows_every_form_of_import(tmp_path: Path, monkeypatch: pytest.
     assert fresh("interarea.design.start") == before
     with pytest.raises(ValueError, match="no module of this package"):
         fresh("interarea.design.moved_away")
+
+
+def test_a_key_follows_what_the_language_itself_takes_for_imports() -> None:
+    """The lines that are read as imports, against Python's own tree of every module of the package."""
+    for room in ("models", "fmu_build", "design", "cosim"):
+        for file in (store.ROOMS / room).rglob("*.py"):
+            package = ".".join(("interarea", *file.relative_to(store.ROOMS).parent.parts))
+            imported = set()
+            for node in ast.walk(ast.parse(file.read_bytes())):
+                if isinstance(node, ast.Import):
+                    imported |= {alias.name for alias in node.names}
+                elif isinstance(node, ast.ImportFrom):
+                    origin = resolve_name("." * node.level + (node.module or ""), package)
+                    imported |= {origin, *(f"{origin}.{alias.name}" for alias in node.names)}
+            assert imported <= set(store._imports(package, file.read_bytes())), file
 
 
 def _flipped(path: Path) -> None:
