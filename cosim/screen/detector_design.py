@@ -9,16 +9,17 @@ at points between them the threshold: nothing is judged by what it was made of.
 from __future__ import annotations
 
 import argparse
-import itertools
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from interarea.design.controllers.bank import ControllerBank
+from interarea.design.controllers.controller import Controller
 from interarea.design.controllers.detector_record import (
     FRAMES,
     SAMPLES,
@@ -28,16 +29,19 @@ from interarea.design.controllers.detector_record import (
     scores,
     shares,
 )
+from interarea.fmu_build.write.cache import default_cache
 from interarea.models.blocks.detector import Patterns
 from interarea.models.case.case import Case, load_case
+from interarea.models.case.schema import Machine
 from interarea.models.case.variants import operating_variant
 from interarea.models.errors import UserError
 
-from ..run.run import run_scenario
-from ..scenario.scenario import load_scenario
+from ..designs.fault_runs import TOGETHER, FaultRuns
+from ..run.controllers import controller_of
 
 Array = npt.NDArray[np.float64]
 MOST_BUSES = 12  #: that faults are tried at
+MOST_MACHINES = 16  #: that are pulsed, unless more of them are compared
 MARGIN = 1.3  #: of the threshold over the largest score of a right signal
 _SEEN, _BETWEEN = (0.95, 1.05), (0.975, 1.025)  # factors on every load
 _LENGTHS, _LENGTH_BETWEEN = (4, 8), (6,)  # cycles
@@ -67,17 +71,21 @@ def design_detector(
         raise DetectorDesignError(
             f"detector: signals are {list(signals)}, allowed: three or more that differ"
         )
-    made, judged = list(_runs(grid, _SEEN, _LENGTHS)), list(_runs(grid, _BETWEEN, _LENGTH_BETWEEN))
     random = np.random.default_rng(1)
+    chosen = _machines(grid, signals)
     seen: list[Array] = []
     noisy: list[Array] = []
-    for k, (scale, event) in enumerate([*made, *judged]):
-        curves = _curves(grid, controller, signals, scale, event, interval_s, cache)
-        if curves is not None and k < len(made):
-            seen.append(curves)
-        elif curves is not None:
-            noisy.append(curves + noise_pu * random.standard_normal(curves.shape))
-        progress((k + 1) / (len(made) + len(judged)))
+    kinds = ((seen, _SEEN, _LENGTHS), (noisy, _BETWEEN, _LENGTH_BETWEEN))
+    parts = [(into, scale, lengths) for into, scales, lengths in kinds for scale in scales]
+    for k, (into, scale, lengths) in enumerate(parts):
+        events = list(_events(grid, chosen, lengths))
+        varied = grid if scale == 1.0 else operating_variant(grid, load_scale=scale)
+        of_scale = controller_of(controller, varied, cache or default_cache())
+        for number, curves in enumerate(_curves(varied, of_scale, signals, events, interval_s, cache)):
+            if curves is not None:
+                into.append(curves)
+            progress((k + (number + 1) / len(events)) / len(parts))
+    noisy = [curves + noise_pu * random.standard_normal(curves.shape) for curves in noisy]
     floor = 3.0 * noise_pu * (SAMPLES / FRAMES) ** 0.5
     basis = basis_of(seen, floor)
     alone = MARGIN * max(float(shares(c, floor).max()) for c in noisy)
@@ -88,52 +96,65 @@ def design_detector(
     return DetectorDesign(grid.name, controller, tuple(signals), interval_s, noise_pu, patterns, *numbers)
 
 
-def _runs(
-    case: Case, scales: Sequence[float], lengths: Sequence[int]
-) -> Iterator[tuple[float, dict[str, Any]]]:
-    """Yield load scale and event: a fault at each of some buses, a pulse on each machine's controls."""
+@dataclass(frozen=True)
+class _RightRun:
+    """A disturbance of a grid whose controller sees every signal at once, and rightly."""
+
+    case: str
+    controller: Controller | ControllerBank | None
+    event: Mapping[str, Any]
+    stop_s: float = _STOP_S
+
+    def document(self) -> dict[str, Any]:
+        """Return it as a scenario; case and controller are given to it as objects."""
+        return {"case": self.case, "stop_s": self.stop_s, "event": [self.event]}
+
+
+def _machines(case: Case, signals: Sequence[str]) -> list[Machine]:
+    """Return whose set-points are pulsed: of the signals' machines, and of every so many others."""
+    seen = [m for m in case.machines if f"{m.name}_dw" in signals]
+    others = [m for m in case.machines if m not in seen]
+    room = max(MOST_MACHINES - len(seen), 1)
+    return [*seen, *others[:: max(1, -(-len(others) // room))]]
+
+
+def _events(case: Case, machines: Sequence[Machine], lengths: Sequence[int]) -> Iterator[dict[str, Any]]:
+    """Yield faults at some buses and a pulse on each set-point of a machine; lengths : cycles."""
     buses = [b.number for b in case.buses]
     chosen = buses[:: -(-len(buses) // MOST_BUSES)]
-    for scale, cycles in itertools.product(scales, lengths):
+    for cycles in lengths:
+        end_s = round(_START_S + cycles / case.frequency_hz, 9)
         pulse = {"size_pu": 0.05, "start_s": _START_S, "end_s": _START_S + 0.05 * cycles}
         for bus in chosen:
-            end = f"start + {cycles} cycles"
-            yield scale, {"kind": "bus_fault", "bus": bus, "start_s": _START_S, "end_s": end}
-        for machine in case.machines:
-            for kind in ("vref_pulse", "pm_pulse"):
-                yield scale, {"kind": kind, "machine": machine.name, **pulse}
+            yield {"kind": "bus_fault", "bus": bus, "start_s": _START_S, "end_s": end_s}
+        for machine in machines:
+            if machine.exciter.kind != "constant":  # else it has no voltage set-point
+                yield {"kind": "vref_pulse", "machine": machine.name, **pulse}
+            yield {"kind": "pm_pulse", "machine": machine.name, **pulse}
 
 
 def _curves(
     case: Case,
-    controller: str,
+    controller: Controller | ControllerBank | None,
     signals: Sequence[str],
-    load_scale: float,
-    event: dict[str, Any],
+    events: Sequence[dict[str, Any]],
     interval_s: float,
     cache: Path | None,
-) -> Array | None:
-    """Return the signals (signals, stamps) of one run, without noise; None where synchronism is lost."""
-    table = {
-        "case": case.name,
-        "controller": controller,
-        "stop_s": _STOP_S,
-        "operating_point": {"load_scale": load_scale},
-        "event": [event],
-    }
-    scenario = load_scenario(table, frequency_hz=case.frequency_hz)
-    grid = case
-    if load_scale != 1.0:
-        grid = operating_variant(case, load_scale=load_scale)
-    run = run_scenario(scenario, case=grid, cache=cache)
-    missing = [s for s in signals if f"plant.{s}" not in run.trajectory.units]
-    if missing:
-        raise DetectorDesignError(f"detector: {', '.join(missing)} is no output of the plant {case.name}")
-    if run.metrics.verdict is not None and not run.metrics.verdict.synchronous:
-        return None
+) -> Iterator[Array | None]:
+    """Yield of each event the signals (signals, stamps), without noise; None where synchronism is lost."""
     stamps = np.arange(0.0, _STOP_S, interval_s)
-    time = np.asarray(run.trajectory.time_s)
-    return np.stack([np.interp(stamps, time, run.trajectory[f"plant.{s}"]) for s in signals])
+    with FaultRuns(case, cache or default_cache()) as runs:
+        for first in range(0, len(events), TOGETHER):
+            part = [_RightRun(case.name, controller, event) for event in events[first : first + TOGETHER]]
+            for outcome, data in runs.judged(part, [None] * len(part)):
+                missing = [s for s in signals if f"plant.{s}" not in data.units]
+                if missing:
+                    raise DetectorDesignError(
+                        f"detector: {', '.join(missing)} is no output of the plant {case.name}"
+                    )
+                time = np.asarray(data.time_s)
+                curves = [np.interp(stamps, time, data[f"plant.{s}"]) for s in signals]
+                yield np.stack(curves) if outcome.synchronous else None
 
 
 def main(words: Sequence[str] | None = None) -> int:

@@ -134,10 +134,15 @@ def _by_area(case: Case, signals: Sequence[str]) -> list[str]:
 
 
 def disturbances_of(case: Case, place: FaultPlace) -> dict[str, list[dict[str, Any]]]:
-    """Return name -> events: nothing; a pulse on the largest machine; a fault of 8 cycles; a trip."""
-    largest = max(case.machines, key=lambda m: m.base_mva).name
+    """Return name -> events: nothing; a pulse; a fault of 8 cycles; a trip.
+
+    The pulse is one of voltage, on the largest machine that regulates; of power, where none does.
+    """
+    regulating = [m for m in case.machines if m.exciter.kind != "constant"]
+    largest = max(regulating or case.machines, key=lambda m: m.base_mva).name
     end_s = round(START_S + 8.0 / case.frequency_hz, 9)
-    pulse = {"kind": "vref_pulse", "machine": largest, "size_pu": 0.05, "start_s": START_S, "end_s": 1.3}
+    kind = "vref_pulse" if regulating else "pm_pulse"
+    pulse = {"kind": kind, "machine": largest, "size_pu": 0.05, "start_s": START_S, "end_s": 1.3}
     fault = {"kind": "bus_fault", "bus": place.bus, "start_s": START_S, "end_s": end_s}
     disturbances: dict[str, list[dict[str, Any]]] = {REST: [], PULSE: [pulse], FAULT: [fault]}
     if place.trip is not None:

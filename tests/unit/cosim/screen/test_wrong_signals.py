@@ -143,6 +143,17 @@ def test_twelve_kinds_are_run_and_each_is_a_scenario() -> None:
         assert faults["G4_dw"][0].start_s == 1.5
 
 
+def test_a_pulse_is_on_a_set_point_that_the_machine_has() -> None:
+    """The largest machine of a grid may have constant excitation."""
+    (pulse,) = disturbances_of(load_case("kundur-manual"), PLACE)["pulse"]
+    assert pulse["kind"] == "pm_pulse"
+    grid = load_case("new-england")
+    largest = next(m for m in grid.machines if m.exciter.kind == "constant")
+    machines = [m.model_copy(update={"base_mva": 5000.0}) if m is largest else m for m in grid.machines]
+    (pulse,) = disturbances_of(grid.model_copy(update={"machines": tuple(machines)}), PLACE)["pulse"]
+    assert pulse["kind"] == "vref_pulse" and pulse["machine"] != largest.name
+
+
 def test_the_second_point_is_no_designs_and_has_the_stated_load() -> None:
     base, other = points_of(CASE).values()
     total = [sum(q.P_mw for q in case.loads) for case in (base, other)]
