@@ -25,12 +25,9 @@ from interarea.design.controllers.detector_record import (
     SAMPLES,
     DetectorDesign,
     DetectorDesignError,
-    basis_of,
-    scores,
     shares,
 )
 from interarea.fmu_build.write.cache import default_cache
-from interarea.models.blocks.detector import Patterns
 from interarea.models.case.case import Case, load_case
 from interarea.models.case.schema import Machine
 from interarea.models.case.variants import operating_variant
@@ -38,11 +35,11 @@ from interarea.models.errors import UserError
 
 from ..designs.fault_runs import TOGETHER, FaultRuns
 from ..run.controllers import controller_of
+from .detector_size import MARGIN, patterns_of
 
 Array = npt.NDArray[np.float64]
 MOST_BUSES = 12  #: that faults are tried at
 MOST_MACHINES = 16  #: that are pulsed, unless more of them are compared
-MARGIN = 1.3  #: of the threshold over the largest score of a right signal
 _SEEN, _BETWEEN = (0.95, 1.05), (0.975, 1.025)  # factors on every load
 _LENGTHS, _LENGTH_BETWEEN = (4, 8), (6,)  # cycles
 _START_S, _STOP_S = 2.0, 10.0
@@ -87,11 +84,9 @@ def design_detector(
             progress((k + (number + 1) / len(events)) / len(parts))
     noisy = [curves + noise_pu * random.standard_normal(curves.shape) for curves in noisy]
     floor = 3.0 * noise_pu * (SAMPLES / FRAMES) ** 0.5
-    basis = basis_of(seen, floor)
     alone = MARGIN * max(float(shares(c, floor).max()) for c in noisy)
-    patterns = Patterns(basis, FRAMES, 1.0, floor, alone)
-    largest = max(float(scores(c, patterns).max()) for c in noisy)
-    patterns = replace(patterns, threshold=MARGIN * largest)
+    patterns = replace(patterns_of(seen, noisy, floor, round(_START_S / interval_s)), alone=alone)
+    largest = patterns.threshold / MARGIN
     numbers = (largest, len(seen), len(noisy))
     return DetectorDesign(grid.name, controller, tuple(signals), interval_s, noise_pu, patterns, *numbers)
 
@@ -171,7 +166,8 @@ def main(words: Sequence[str] | None = None) -> int:
         print(*error.args, sep="\n", file=sys.stderr)
         return 2
     print(
-        f"{design.save(options.out)}: made of {design.made_of} runs; largest score of right signals in "
+        f"{design.save(options.out)}: {design.patterns.basis.shape[2]} directions, made of {design.made_of} "
+        f"runs; largest score of right signals in "
         f"{design.judged_by} others {design.largest:.2f}, threshold {design.patterns.threshold:.2f}; a "
         f"signal may span {design.patterns.alone:.2f} times as much as the others"
     )

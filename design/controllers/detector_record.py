@@ -21,7 +21,7 @@ from interarea.models.errors import UserError
 from interarea.models.files import write_whole
 
 Array = npt.NDArray[np.float64]
-FRAMES, SAMPLES, SIZE = 4, 12, 12  #: stamps a sample, samples a window, directions of a swing
+FRAMES, SAMPLES = 4, 12  #: stamps a sample, samples a window
 _SCHEMA = 2
 _SPAN = 100  # stamps that a span is taken over: `average_s` of a scenario by default
 
@@ -102,7 +102,7 @@ def windows(curves: Array, frames: int, samples: int) -> Array:
     return np.stack([means[:, k : k + samples] for k in range(count - samples + 1)])
 
 
-def basis_of(curves: Sequence[Array], floor: float, size: int = SIZE) -> Array:
+def basis_of(curves: Sequence[Array], floor: float, size: int) -> Array:
     """Return the `size` directions that windows of curves have in common, each window of length 1.
 
     floor : windows shorter than ten of it are left out.
@@ -117,13 +117,19 @@ def basis_of(curves: Sequence[Array], floor: float, size: int = SIZE) -> Array:
 
 def scores(curves: Array, patterns: Patterns) -> Array:
     """Return the score of each window (models/c/detector/pattern.h) of curves (signals, stamps)."""
+    return scores_and_suspects(curves, patterns)[0]
+
+
+def scores_and_suspects(curves: Array, patterns: Patterns) -> tuple[Array, npt.NDArray[np.int64]]:
+    """Return the score of each window of curves (signals, stamps), and without which signal least is left."""
     n, samples, size = patterns.basis.shape
     x = windows(curves, patterns.frames, samples)
     V = patterns.basis.reshape(-1, size)
     others = patterns.data["pattern.others"].reshape(n, -1, size)
-    left = [_left(np.delete(x, i, axis=1), others[i]) for i in range(n)]
-    least = np.min(left, axis=0)
-    return np.asarray(np.sqrt(np.maximum(_left(x, V) ** 2 - least**2, 0.0)) / (patterns.floor + 3.0 * least))
+    left = np.array([_left(np.delete(x, i, axis=1), others[i]) for i in range(n)])
+    least = left.min(axis=0)
+    score = np.sqrt(np.maximum(_left(x, V) ** 2 - least**2, 0.0)) / (patterns.floor + 3.0 * least)
+    return np.asarray(score), np.asarray(left.argmin(axis=0))
 
 
 def shares(curves: Array, floor: float) -> Array:
