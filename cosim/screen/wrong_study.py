@@ -54,13 +54,14 @@ def study_wrong_signals(
     *,
     kinds: Sequence[str] | None = None,
     disturbances: Sequence[str] | None = None,
+    one_point: bool = False,
     command: str = "",
     report: Report = lambda stage, share: None,
 ) -> dict[str, Any]:
     """Run every kind of wrong signal on each controller into the folder `out`; return what its JSON holds.
 
     A detector and a certificate that `out` holds of the same controller, grid and question are not made
-    again. kinds, disturbances : as of `certify_wrong_signals`.
+    again. kinds, disturbances : as of `certify_wrong_signals`. one_point : only that of the case.
 
     Raises
     ------
@@ -84,7 +85,7 @@ def study_wrong_signals(
             report(making, 0.0)
             file, problem = _detector(subject, out, cache, partial(report, making))
             report(making, 1.0)
-            question = (kinds, disturbances)
+            question = (kinds, disturbances, one_point)
             result = _certificate(subject, file, question, out, cache, partial(report, running))
             done.append({**result, **summary_of(result), "no_detector": problem, "fault": str(subject.place)})
             written()
@@ -125,7 +126,7 @@ def _detector(
 def _certificate(
     subject: Subject,
     detector: Path | None,
-    asked: tuple[Sequence[str] | None, Sequence[str] | None],
+    asked: tuple[Sequence[str] | None, Sequence[str] | None, bool],
     out: Path,
     cache: Path,
     progress: Callable[[float], object],
@@ -157,6 +158,7 @@ def _certificate(
         compared=compared,
         kinds=asked[0],
         disturbances=asked[1],
+        points={"base": subject.case} if asked[2] else None,
         progress=progress,
     )
     document = certificate.as_dict() | {"key": key, "detector": {} if detector is None else detector.name}
@@ -169,6 +171,7 @@ def summary_of(certificate: Mapping[str, Any]) -> dict[str, Any]:
     rows = runs_of(certificate)
     wrong, right = ([row for row in rows if (row.kind == RIGHT) is clean] for clean in (False, True))
     counts: dict[str, Any] = {"runs_of_each": sum(not row.detector for row in wrong)}
+    counts |= {"disturbances": _each(rows, "disturbance"), "points": _each(rows, "point")}
     for name, with_it in (("alone", False), ("watched", True)):
         counts[name] = _ends([row for row in wrong if row.detector is with_it])
     counts["false_alarms"] = sum(bool(row.others) or row.stopped_s is not None for row in right)
@@ -178,6 +181,10 @@ def summary_of(certificate: Mapping[str, Any]) -> dict[str, Any]:
     counts["least_left"] = left if stable else None
     counts["conclusion"] = _conclusion(certificate, counts)
     return counts
+
+
+def _each(rows: Sequence[WrongRow], what: str) -> list[str]:
+    return list(dict.fromkeys(getattr(row, what) for row in rows))
 
 
 def _ends(rows: Sequence[WrongRow]) -> dict[str, int]:

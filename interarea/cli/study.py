@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .terminal import busy, note, stage_progress
+from .terminal import note, stage_progress
 
 if TYPE_CHECKING:
     from interarea.cosim.grid_study.automatic import GridDesign
@@ -69,6 +69,23 @@ def study(
         list[str] | None,
         typer.Option("--controller", metavar="NAME", help="of wrong-signals: a controller; again for more"),
     ] = None,
+    kind: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--kind", metavar="NAME", help="of wrong-signals: such as polarity (else all); again for more"
+        ),
+    ] = None,
+    disturbance: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--disturbance",
+            metavar="NAME",
+            help="of wrong-signals: rest, pulse, bus fault, tie trip (else all); again for more",
+        ),
+    ] = None,
+    one_point: Annotated[
+        bool, typer.Option("--one-point", help="of wrong-signals: only the operating point of the case")
+    ] = False,
     json_: Annotated[bool, typer.Option("--json", help="print JSON instead of the files' names")] = False,
 ) -> None:
     """Run a whole study, or study a grid: modes, a design made for it, faults, report.html, study.json.
@@ -79,10 +96,13 @@ def study(
     The study `actuators` says of one grid which kind of actuator damps it best: actuators.html.
     The study `wrong-signals` runs controllers with each kind of wrong signal: wrong_signals.html.
     """
+    from .certificates.wrong_study import Asked, study_wrong
     from .destination import folder_for
     from .grids import grid_of
 
-    _check_options(name, grid, actuator, mva, controller)
+    _check_options(name, grid, actuator, mva)
+    asked = Asked(controller or [], kind or [], disturbance or [], one_point)
+    asked.check(name)
     if name == "actuators":
         _study_actuators(out, dyr, minutes, grid or [], actuator or [], mva, json_=json_)
         return
@@ -91,7 +111,7 @@ def study(
         return
     if name == "wrong-signals":
         _refuse_options(name, {"--dyr": dyr, "--minutes": minutes})
-        _study_wrong_signals(out, controller or [], json_=json_)
+        _show_study(*study_wrong(out, asked), json_=json_)
         return
     folder_for(out, files=_FILES)
     choices = _choices_of(name, dyr, minutes)
@@ -194,13 +214,10 @@ def _check_options(
     grid: list[str] | None,
     actuator: list[str] | None,
     mva: float | None,
-    controller: list[str] | None,
 ) -> None:
     """Refuse an option of one bundled study that is given to another."""
     from interarea.models.errors import UserError
 
-    if controller and name != "wrong-signals":
-        raise UserError(f"--controller {controller[0]}: goes with the study wrong-signals, not with {name}")
     if name != "actuators" and (actuator or mva is not None):
         option = "--mva" if mva is not None else f"--actuator {(actuator or [''])[0]}"
         raise UserError(f"{option}: goes with the study actuators, not with {name}; leave it out")
@@ -218,39 +235,6 @@ def _refuse_options(name: str, options: Mapping[str, object]) -> None:
     for option, value in options.items():
         if value:
             raise UserError(f"{option}: not with the study {name}; leave it out")
-
-
-def _study_wrong_signals(out: Path, names: list[str], *, json_: bool) -> None:
-    from interarea.cosim.designs.design_file import load_design
-    from interarea.cosim.screen.wrong_runs import fault_place
-    from interarea.cosim.screen.wrong_study import (
-        CONTROLLERS,
-        FILES,
-        Subject,
-        stages,
-        study_wrong_signals,
-    )
-    from interarea.fmu_build.write.cache import default_cache
-    from interarea.synthesis import judged_and_design
-
-    from .destination import folder_for
-
-    folder_for(out, files=FILES)
-    names = list(dict.fromkeys(names or CONTROLLERS))
-    subjects = []
-    with busy("reading the controllers, designed for the case where they are new"):
-        for name in names:
-            loaded, table = judged_and_design(name, None, None)
-            has_fault = table.fault is not None or table.acceptance is not None
-            # a controller of the printed study has no design file: the default's faults, on the same grid
-            place = fault_place(table if has_fault else load_design(CONTROLLERS[0]))
-            subjects.append(Subject(name, loaded, table.grid, place))
-    command = f"interarea study wrong-signals{''.join(f' --controller {n}' for n in names)} --out {out}"
-    with stage_progress(stages(names)) as report:
-        result = study_wrong_signals(subjects, out, default_cache(), command=command, report=report)
-    conclusions = {one["controller"]: one["conclusion"] for one in result["controllers"]}
-    lines = [f"{controller}: {conclusion}" for controller, conclusion in conclusions.items()]
-    _show_study({"study": "wrong-signals", "controllers": conclusions}, out, FILES, lines, json_=json_)
 
 
 def _named_grid(name: str) -> Case:

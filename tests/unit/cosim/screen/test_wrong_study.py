@@ -13,7 +13,7 @@ from command_line import invoke
 
 from interarea.cosim.designs.design_file import load_design
 from interarea.cosim.results.verdict import GROWING, LOST, STANDING
-from interarea.cosim.screen import wrong_study
+from interarea.cosim.screen import detector_design, detector_size, wrong_study
 from interarea.cosim.screen.wrong_runs import fault_place
 from interarea.cosim.screen.wrong_signals import RIGHT, WrongRow
 from interarea.cosim.screen.wrong_study import FILES, Subject, study_wrong_signals, summary_of
@@ -89,6 +89,29 @@ def test_the_study_goes_on_where_it_was_stopped(tmp_path: Path, monkeypatch: pyt
         study_wrong_signals([subject], tmp_path, default_cache(), kinds=("stuck",))
 
 
+@pytest.mark.slow
+def test_a_grid_of_five_areas_has_its_own_detector(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`nets_nyps`: a control stays at its limit while G14 is times 10; with a detector none."""
+    monkeypatch.setattr(detector_size, "PER_SIGNAL", (5,))  # what the whole choice comes to
+    monkeypatch.setattr(detector_design, "MOST_BUSES", 2)
+    monkeypatch.setattr(detector_design, "MOST_MACHINES", 6)
+    table = load_design("nets_nyps")
+    subject = Subject("nets_nyps", load_controller("nets_nyps"), table.grid, fault_place(table))
+    asked = {"kinds": ("times 10",), "disturbances": ("bus fault",), "one_point": True}
+    one = study_wrong_signals([subject], tmp_path, default_cache(), **asked)["controllers"][0]
+    assert one["no_detector"] == ""
+    assert (one["runs_of_each"], one["points"], one["disturbances"]) == (6, ["base"], ["bus fault"])
+    ends = {(row["signal"], row["detector"]): row for row in one["rows"]}
+    alone = ends["G14_dw", False]
+    assert alone["verdict"] == STANDING and "at its limit" in alone["why"]
+    assert one["watched"] == {"lost": 0, "swinging": 0, "worse": 0}
+    # the fault changes G13, G5, G14 and G15 so fast that ten times as much is beyond what a machine can do
+    for signal in ("G13_dw", "G5_dw", "G14_dw", "G15_dw"):
+        assert ends[signal, True]["detected_s"] < 0.15
+    assert one["isolated"] == one["rightly"] >= 4
+    assert one["false_alarms"] == 0
+
+
 @pytest.mark.parametrize(
     ("words", "line"),
     [
@@ -99,6 +122,13 @@ def test_the_study_goes_on_where_it_was_stopped(tmp_path: Path, monkeypatch: pyt
         (["wrong-signals", "--minutes", "3"], "--minutes: not with the study wrong-signals; leave it out"),
         (["worth", "--controller", "robust"], "--controller robust: goes with the study wrong-signals, not"),
         (["wrong-signals", "--controller", "robost"], "robost"),
+        (["worth", "--disturbance", "rest"], '--disturbance "rest": goes with the study wrong-signals, not'),
+        (["thesis", "--one-point"], "--one-point: goes with the study wrong-signals, not with thesis"),
+        (
+            ["wrong-signals", "--disturbance", "storm"],
+            "--disturbance storm: allowed: rest, pulse, bus fault, tie trip",
+        ),
+        (["wrong-signals", "--kind", "polarit"], "--kind polarit: allowed: stuck, zero, times 3, times 10, "),
     ],
 )
 def test_options_that_a_study_does_not_take(
