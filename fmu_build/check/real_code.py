@@ -37,11 +37,8 @@ def check_library(path: Path, report: Report) -> bool:
         report.add("DLL file", path.name, f"cannot be read: {error}", "give the compiled DLL")
         return False
     bits = _BITS.get(image.machine, 0)
-    declared = {
-        b
-        for part in (*path.parts[-3:-1], path.stem)
-        for b in re.findall(r"(?:win|linux|bin|_)(32|64)$", part)
-    }
+    parts = (*path.parts[-3:-1], path.stem)
+    declared = {b for part in parts for b in re.findall(r"(?:win|linux|bin|_)(32|64)$", part)}
     if declared and str(bits) not in declared:
         report.add(
             "DLL bits",
@@ -89,9 +86,9 @@ def _start(model: RealCode, swing: tuple[float, float], times: int = 1, fill: in
     code = 0
     for _ in range(times):
         code = max(code, model.call("Model_CheckParameters"))
-    zero = bytes(ctypes.sizeof(model.outputs.structure))
+    outputs = model.outputs.structure
     for _ in range(times):
-        ctypes.memmove(ctypes.addressof(model.outputs.structure), zero, len(zero))
+        ctypes.memset(ctypes.addressof(outputs), 0, ctypes.sizeof(outputs))
         code = max(code, model.call("Model_Initialize"))
     return code
 
@@ -99,11 +96,8 @@ def _start(model: RealCode, swing: tuple[float, float], times: int = 1, fill: in
 def _gaps(values: Values) -> list[int]:
     """Bytes of the structure that belong to no port."""
     own = type(values.structure)
-    used = {
-        at
-        for field, *_ in own._fields_
-        for at in range(getattr(own, field).offset, getattr(own, field).offset + getattr(own, field).size)
-    }
+    fields = [getattr(own, name) for name, *_ in own._fields_]
+    used = {at for field in fields for at in range(field.offset, field.offset + field.size)}
     return [at for at in range(ctypes.sizeof(own)) if at not in used]
 
 
@@ -142,14 +136,11 @@ def finite(library: RealCodeLibrary, tell: Tell) -> None:
     model = RealCode(library)
     if _start(model, _SWINGS[0]) >= ERROR:
         return
+    reals = [p.name for p in library.info.outputs if p.type in (8, 9)]
     for k in range(1, 4 * _STEPS):
         _excite(model, k, _SWINGS[0] if k < 2 * _STEPS else (1.0, 0.5))
         code = model.call("Model_Outputs", k * library.info.sample_time_s)
-        bad = [
-            p.name
-            for p in library.info.outputs
-            if p.type in (8, 9) and not math.isfinite(model.outputs[p.name])
-        ]
+        bad = [name for name in reals if not math.isfinite(model.outputs[name])]
         if bad and code < ERROR:
             reason = f"is {model.outputs[bad[0]]} after finite inputs with return code {code}"
             tell("DLL errors", bad[0], reason, "return 2 with LastErrorMessage")

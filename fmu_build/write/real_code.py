@@ -166,20 +166,24 @@ def _of_role(block: Block, role: Role) -> list[Variable]:
     return [*block.table.of_role(role), *block.table.of_role(role, integers=True)]
 
 
-def _ports(block: Block | Chain) -> tuple[list[_Port], list[_Port], list[_Port]]:
+def _ports(block: Block | Chain) -> list[list[_Port]]:
     """Inputs, outputs and parameters that the DLL shows; what a connection feeds is no input."""
-    exposed: tuple[list[_Port], list[_Port], list[_Port]] = ([], [], [])
-    roles: tuple[Role, ...] = ("input", "output", "parameter")
+    exposed: dict[Role, list[_Port]] = {"input": [], "output": [], "parameter": []}
     chain = _as_chain(block)
     fed = {target for _, target in chain.connections}
     for k, (name, b) in enumerate(chain.members.items()):
-        kind = "controller" if b.kind in ("controller", "supervisor") else "channel"
-        for ports, role in zip(exposed, roles, strict=True):
-            for v in parameters_of(b) if role == "parameter" else _of_role(b, role):
-                shown = f"{name}.{v.name}" if role == "parameter" else shown_name(name, kind, v)
+        for role, ports in exposed.items():
+            variables = parameters_of(b) if role == "parameter" else _of_role(b, role)
+            for v in variables:
                 if f"{name}.{v.name}" not in fed:
-                    ports.append(_Port(k, v.name if chain is not block else shown, v))
-    return exposed
+                    ports.append(_Port(k, _name_in_chain(name, b, v) if chain is block else v.name, v))
+    return list(exposed.values())
+
+
+def _name_in_chain(member: str, block: Block, v: Variable) -> str:
+    if v.role == "parameter":
+        return f"{member}.{v.name}"
+    return shown_name(member, "controller" if block.kind in ("controller", "supervisor") else "channel", v)
 
 
 def _as_chain(block: Block | Chain) -> Chain:
@@ -269,11 +273,8 @@ def _range(v: Variable) -> tuple[float, float, float]:
     start = float(v.start or 0)
     if v.type == "Boolean":
         return start, 0.0, 1.0
-    if v.type != "Real":
-        low, high = integer_range(v)
-        return start, float(low), float(high)
-    low_, high_ = (-UNBOUNDED if v.min is None else v.min), (UNBOUNDED if v.max is None else v.max)
-    return start, float(low_), float(high_)
+    low, high = (v.min, v.max) if v.type == "Real" else integer_range(v)
+    return start, float(-UNBOUNDED if low is None else low), float(UNBOUNDED if high is None else high)
 
 
 def _texts(block: Block | Chain, groups: Sequence[list[_Port]]) -> Iterator[str]:
