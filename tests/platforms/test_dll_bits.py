@@ -12,11 +12,9 @@ import sys
 from pathlib import Path
 
 import pytest
-from platforms.test_same_bits import FMU_FLAGS, Emulator, emulator_of
+from platforms.test_same_bits import Emulator, emulator_of, program
 
 from interarea.cosim.run.controllers import controller_of
-from interarea.fmu_build.write.cache import COMPILERS_OWN
-from interarea.fmu_build.write.compile import SYSTEM_LIBRARIES
 from interarea.fmu_build.write.real_code import DLL_PLATFORMS, Chain, build_dll
 from interarea.models.blocks.channel import channel_block
 from interarea.models.blocks.pmu import pmu_block
@@ -29,25 +27,10 @@ pytestmark = [
     pytest.mark.skipif(sys.platform != "linux", reason="Wine runs on Linux"),
 ]
 HOST = Path(__file__).with_name("dll_host.c")
+HEADERS = Path(__file__).parents[2] / "fmu_build" / "c" / "dll"
 STEP = 0.001
 COUNT = int(os.environ.get("INTERAREA_DLL_STEPS", "20000"))
 CHANNEL = ("latency=0.1", "reporting_interval=0.02", "jitter=0.03", "loss_good=0.1", "loss_bad=0.1", "seed=5")
-
-
-def host(name: str, folder: Path, cache: Path) -> Path:
-    """Return the host compiled for a platform."""
-    kept = (cache / COMPILERS_OWN).absolute()
-    folders = {"GLOBAL": SYSTEM_LIBRARIES, "LOCAL": "objects"}
-    environment = {**os.environ} | {f"ZIG_{k}_CACHE_DIR": str(kept / part) for k, part in folders.items()}
-    header = Path(__file__).parents[2] / "fmu_build" / "c" / "dll"
-    command = [sys.executable, "-m", "ziglang", "cc", "-target", DLL_PLATFORMS[name].targets[0], *FMU_FLAGS]
-    compiled, program = folder / f"{name}.o", folder / f"{name}.exe"
-    for words in (
-        ["-c", f"-I{header}", str(HOST), "-o", str(compiled)],
-        [str(compiled), "-o", str(program), *(["-ldl"] if name == "linux64" else [])],
-    ):
-        subprocess.run([*command, *words], check=True, env=environment, capture_output=True)
-    return program
 
 
 def emulator(name: str, folder: Path) -> Emulator:
@@ -89,9 +72,9 @@ def test_a_windows_dll_has_the_bits_of_the_linux_one(
     for platform in ("linux64", name):
         tool = emulator(platform, tmp_path)
         library = build_dll(blocks[kind], tmp_path, platform=platform, sample_time_s=STEP, cache=cache)
-        program = host(platform, tmp_path, cache)
+        host = program(HOST, DLL_PLATFORMS[platform], HEADERS, tmp_path, cache)
         done = subprocess.run(
-            [*tool.command, str(program), str(library), str(STEP), str(COUNT), *channel],
+            [*tool.command, str(host), str(library), str(STEP), str(COUNT), *channel],
             env={**os.environ, **tool.environment},
             capture_output=True,
             text=True,

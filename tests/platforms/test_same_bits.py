@@ -25,7 +25,7 @@ from interarea.cosim.export.instances import members_of
 from interarea.cosim.scenario.scenario import load_scenario
 from interarea.design.controllers.controller import Controller
 from interarea.fmu_build.write.cache import COMPILERS_OWN
-from interarea.fmu_build.write.compile import PLATFORMS, SYSTEM_LIBRARIES
+from interarea.fmu_build.write.compile import PLATFORMS, SYSTEM_LIBRARIES, Platform
 from interarea.fmu_build.write.package import build_fmu
 from interarea.fmu_build.write.sources import fmi_headers
 
@@ -124,22 +124,30 @@ def fmus(cache: Path, by_hand: Controller, folder: Path) -> dict[str, Path]:
 @pytest.fixture(scope="module")
 def drivers(cache: Path, folder: Path) -> dict[str, Path]:
     """Return `driver.c` compiled for each platform."""
-    kept = (cache / COMPILERS_OWN).absolute()  # the FMUs' own builds left the platforms' libraries there
+    source = Path(__file__).with_name("driver.c")
+    names = ("linux64", *EMULATED)
+    return {name: program(source, PLATFORMS[name], fmi_headers(), folder, cache) for name in names}
+
+
+def program(source: Path, to: Platform, headers: Path, folder: Path, cache: Path) -> Path:
+    """Return a program of one C file for a platform.
+
+    With the flags of FMUs and DLLs: then zig finds the platform's libraries that it made for those.
+    """
+    kept = (cache / COMPILERS_OWN).absolute()
     environment = {
         **os.environ,
         "ZIG_GLOBAL_CACHE_DIR": str(kept / SYSTEM_LIBRARIES),
         "ZIG_LOCAL_CACHE_DIR": str(kept / "objects"),
     }
-    made = {}
-    for name in ("linux64", *EMULATED):
-        made[name] = folder / f"driver-{name}.exe"
-        compiler = [sys.executable, "-m", "ziglang", "cc", "-target", PLATFORMS[name].targets[0], *FMU_FLAGS]
-        source, compiled = Path(__file__).with_name("driver.c"), folder / f"driver-{name}.o"
-        for words in (
-            ["-c", f"-I{fmi_headers()}", str(source), "-o", str(compiled)],
-            ["-Wl,-s", str(compiled), "-o", str(made[name])],
-        ):
-            subprocess.run([*compiler, *words], check=True, env=environment, capture_output=True)
+    compiler = [sys.executable, "-m", "ziglang", "cc", "-target", to.targets[0], *FMU_FLAGS]
+    compiled, made = (folder / f"{source.stem}-{to.name}.{end}" for end in ("o", "exe"))
+    runtime = ["-rtlib=none"] if to.suffix == ".so" else []  # of zig, of which no line is needed
+    for words in (
+        ["-c", f"-I{headers}", str(source), "-o", str(compiled)],
+        ["-Wl,-s", *runtime, str(compiled), "-o", str(made)],
+    ):
+        subprocess.run([*compiler, *words], check=True, env=environment, capture_output=True)
     return made
 
 
