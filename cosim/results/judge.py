@@ -17,7 +17,7 @@ from ..scenario.scenario import Scenario
 from ..trajectory import Trajectory
 from . import metrics as m
 from .accumulators import Accumulators, Curves, Settling, Squares
-from .largest_deviation import machines_judged, parts_of
+from .largest_deviation import judged_of, parts_of
 from .ringdown import (
     Swing,
     disturbance_end_s,
@@ -28,7 +28,7 @@ from .ringdown import (
     samples_of,
     speeds_of,
 )
-from .verdict import RULE, Motion
+from .verdict import Motion
 
 if TYPE_CHECKING:
     from interarea.models.case.case import Case
@@ -87,11 +87,12 @@ class Judge:
         self, part: Trajectory, time: Array, speeds: Mapping[str, Array], controls: Mapping[str, Array]
     ) -> None:
         """Take what the verdict is judged by."""
-        names = [f"plant.{name}" for name in self._motion.machines]
+        motion = self._motion
+        columns = [f"plant.{name}_delta" for name in (*motion.machines, *motion.sources)]
         angles = None
-        if all(f"{name}_delta" in part for name in names):
-            angles = np.array([self._joined(f"{name}_delta", part[f"{name}_delta"]) for name in names])
-        self._motion.add(time, np.array([speeds[f"{name}_dw"] for name in names]), angles, controls)
+        if all(column in part for column in columns):
+            angles = np.array([self._joined(column, part[column]) for column in columns])
+        motion.add(time, np.array([speeds[f"plant.{m}_dw"] for m in motion.machines]), angles, controls)
 
     def metrics(
         self,
@@ -129,7 +130,7 @@ class Judge:
                 "damping_ratio": swings.how,
                 "frequency_hz": swings.how,
                 "ring_down": swings.fit,
-                "verdict": RULE,
+                "verdict": self._motion.rule,
                 "settling_time_s": f"from {end:g} s to the last time |{name}| exceeds 2 % of its peak",
                 "peak_pu": f"largest |{name}| of the run",
                 "energy_pu2s": f"integral of {name}^2 over the run, trapezoids",
@@ -186,10 +187,11 @@ class Judge:
 
 def motion_of(case: Case, scenario: Scenario, stop_s: float) -> Motion:
     """Return what takes the motion of all machines of a case through a scenario, for its verdict."""
-    machines = machines_judged(case, scenario.event)
+    machines, sources = judged_of(case, scenario.event)
     events = [t for e in scenario.event for t in instants(e)]
     lines = [t for line in scenario.lines.values() for t in line.event_times_s]
-    return Motion(machines, parts_of(case, machines), events, [*events, *lines], stop_s, case.omega_b)
+    parts = parts_of(case, [*machines, *sources])
+    return Motion(machines, parts, events, [*events, *lines], stop_s, case.omega_b, sources)
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,7 @@
 """What a run came to: one rule for a single run, sweeps, screenings, acceptance, studies and the explorer.
 
-Synchronism is judged by the angles of all machines of each island over the whole run. Whether what is left of
+Synchronism is judged by the angles of all machines of each island over the whole run, and of all converters
+that are voltage sources. Whether what is left of
 a disturbance dies out is judged by spans (largest less least value in a window): of each machine's speed
 against the mean of its island, of that mean itself less its straight line, and of each control signal. Three
 windows are compared: all from the last event on, the last `LAST_S` (a quarter of the time that is judged
@@ -43,12 +44,12 @@ SHOWS = 2.0  #: a run that lasts so many time constants of a growing root shows 
 LEAST_S = 2.0  #: shorter than this nothing is judged after an event: four periods of the fastest swing, 2 Hz
 #: the rule in words, for what is written beside a verdict
 RULE = (
-    "synchronism lost: two machines of an island half a turn apart; else by the spans of the machines' "
-    f"speeds against their island's mean and of the controls in the last {LAST_S:g} s (a quarter of the time "
-    "judged where that is longer), which holds no event and no end of an outage: settled, below a fifth of "
-    "the largest and falling (or within 2 % of it); settling slowly, falling; growing; else standing swing, "
-    "as a control at its limit is; growing too where the linear loop has a growing root that the run is too "
-    "short to show"
+    "synchronism lost: two machines (or converters that are voltage sources) of an island half a turn apart; "
+    "else by the spans of the machines' speeds against their island's mean and of the controls in the last "
+    f"{LAST_S:g} s (a quarter of the time judged where that is longer), which holds no event and no end of "
+    "an outage: settled, below a fifth of the largest and falling (or within 2 % of it); settling slowly, "
+    "falling; growing; else standing swing, as a control at its limit is; growing too where the linear loop "
+    "has a growing root that the run is too short to show"
 )
 _MOST_SAMPLES = 512  #: of an island's mean speed in a window
 
@@ -59,8 +60,8 @@ class Verdict:
 
     name : one of `VERDICTS`, or `NOT_JUDGED`. why : in words with the numbers. window_s : judged for decay.
     largest, before, last : spans of what decided, pu: from the last event on, in the window before the last,
-    in the last. angle_deg : largest between two machines of one island, of the whole run, `pair`; lost_s :
-    when it first reached half a turn, None: never.
+    in the last. angle_deg : largest between two machines or sources of one island, of the whole run, `pair`;
+    lost_s : when it first reached half a turn, None: never.
     """
 
     name: str
@@ -80,12 +81,12 @@ class Verdict:
 
     @property
     def synchronous(self) -> bool:
-        """Whether no two machines of an island came half a turn apart."""
+        """Whether no two machines or sources of an island came half a turn apart."""
         return self.lost_s is None
 
     @property
     def slips(self) -> int:
-        """How many whole turns two machines came apart."""
+        """How many whole turns two of them came apart."""
         return int(self.angle_deg // 360.0)
 
     def __str__(self) -> str:
@@ -96,9 +97,10 @@ class Verdict:
 class Motion:
     """Takes the points of a run in parts, in the order of time, and gives its `Verdict`.
 
-    machines : names, in the order of the rows of speeds and angles. islands : rows of each. events_s :
+    machines : names, in the order of the rows of speeds. sources : names of the converters that are voltage
+    sources, whose angles come after those of the machines. islands : rows of the angles of each. events_s :
     instants of events; event_times_s : of outages too. stop_s : last point. omega_b : rad/s, by which
-    speeds are integrated where the plant shows no angles.
+    speeds are integrated where the plant shows no angles; the sources are not judged then.
     """
 
     machines: Sequence[str]
@@ -107,12 +109,14 @@ class Motion:
     event_times_s: Sequence[float]
     stop_s: float
     omega_b: float
+    sources: Sequence[str] = ()
     window_s: tuple[float, float] = field(init=False)
     _controls: tuple[str, ...] = ()
     _angle: Array | None = None
     angle_deg: float = 0.0
     lost_s: float | None = None
     pair: tuple[str, str] | None = None
+    unseen: tuple[str, ...] = ()  #: sources whose angles the plant does not show
 
     def __post_init__(self) -> None:
         self.window_s = begin, end = window_of(self.events_s, self.event_times_s, self.stop_s)
@@ -122,10 +126,12 @@ class Motion:
         self._windows = ((since, end), (end - 2.0 * width, end - width), (end - width, end))
         self._spans: dict[str, Spans] = {k: Spans(self._windows) for k in ("speeds", "means", "controls")}
         spacing = max(0.05, width / _MOST_SAMPLES)
-        self._means = [Samples(len(self.islands), a, b, spacing) for a, b in self._windows[1:]]
+        of_machines = ([k for k in rows if k < len(self.machines)] for rows in self.islands)
+        self._machines = [rows for rows in of_machines if rows]
+        self._means = [Samples(len(self._machines), a, b, spacing) for a, b in self._windows[1:]]
 
     def add(self, time_s: Array, speeds: Array, angles: Array | None, controls: Mapping[str, Array]) -> None:
-        """Take points; speeds (machines, points), pu; angles likewise, rad; controls by name, pu.
+        """Take points; speeds (machines, points), pu; angles (machines, then sources), rad; controls, pu.
 
         Each part begins with the last point of the part before it.
         """
@@ -135,7 +141,7 @@ class Motion:
         inside = ((time_s > begin) | (begin == 0.0)) & (
             (time_s < end) if self._ends_with_mark else (time_s <= end)
         )
-        means = np.array([speeds[rows].mean(axis=0) for rows in self.islands])
+        means = np.array([speeds[rows].mean(axis=0) for rows in self._machines])
         for window in self._means:
             if time_s[-1] >= window.time_s[0] and len(window.time_s):
                 window.add(time_s, list(means))
@@ -143,7 +149,7 @@ class Motion:
         if not np.any(inside):
             return
         relative = speeds.copy()
-        for rows, mean in zip(self.islands, means, strict=True):
+        for rows, mean in zip(self._machines, means, strict=True):
             if len(rows) > 1:  # of a machine alone its own speed
                 relative[rows] -= mean
         time, selected = time_s[inside], {"speeds": relative, "means": means}
@@ -162,7 +168,7 @@ class Motion:
         if self.lost_s is not None:
             slips = int(self.angle_deg // 360.0)
             why = f"{' and '.join(self.pair or ())} half a turn apart at {self.lost_s:.2f} s, at most "
-            why += f"{self.angle_deg:.0f} degrees" + (f", {slips} slips" if slips else "")
+            why += f"{self.angle_deg:.0f} degrees" + (f", {slips} slip{'s' * (slips > 1)}" if slips else "")
             return self._made(LOST, why)
         begin, end = self.window_s
         if not end - begin >= min(LEAST_S, self.stop_s):
@@ -184,6 +190,15 @@ class Motion:
         return self._made(name, why, *spans)
 
     @property
+    def rule(self) -> str:
+        """The rule in words, with what of it could not be applied."""
+        if not self.unseen:
+            return RULE
+        number, first = len(self.unseen), self.unseen[0]
+        names = first if number == 1 else f"{first} and {number - 1} more converters"
+        return f"{RULE}; not judged: the angle of {names}, which the plant does not show"
+
+    @property
     def at_rest(self) -> bool:
         """Whether nothing moved, so that only the linear loop can tell."""
         spans = self._spans["speeds"].of(0)
@@ -201,7 +216,7 @@ class Motion:
         speeds = self._family("speeds")
         candidates = [(*_judged(*speeds[:3]), speeds)]
         means = [_detrended(w) for w in self._means]
-        together = [k for k, rows in enumerate(self.islands) if len(rows) > 1]
+        together = [k for k, rows in enumerate(self._machines) if len(rows) > 1]
         raw = self._spans["means"].of(0)
         if together and raw is not None and all(len(x) for x in means):
             # a slow, well damped common swing is shorter than its period in a window: it counts while large
@@ -245,14 +260,16 @@ class Motion:
             steps = 0.5 * self.omega_b * np.diff(time_s) * (speeds[:, 1:] + speeds[:, :-1])
             angles = self._angle[:, None] + np.hstack([np.zeros((len(speeds), 1)), np.cumsum(steps, axis=1)])
             self._angle = angles[:, -1].copy()
-        for rows in self.islands:
+            self.unseen = tuple(self.sources)
+        names = (*self.machines, *self.sources)
+        for rows in self._machines if len(angles) < len(names) else self.islands:
             part = angles[rows]
             apart = np.degrees(np.ptp(part, axis=0))
             k = int(np.argmax(apart))
             if apart[k] > self.angle_deg:
                 self.angle_deg = float(apart[k])
                 ends = rows[int(np.argmax(part[:, k]))], rows[int(np.argmin(part[:, k]))]
-                self.pair = self.machines[ends[0]], self.machines[ends[1]]
+                self.pair = names[ends[0]], names[ends[1]]
             lost = np.flatnonzero(apart >= OUT_OF_STEP_DEG)
             if lost.size and (self.lost_s is None or time_s[lost[0]] < self.lost_s):
                 self.lost_s = float(time_s[lost[0]])

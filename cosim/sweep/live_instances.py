@@ -22,7 +22,7 @@ from ..errors import ScenarioError
 from ..master.instances import FmuParticipant
 from ..master.instances import Value as Start
 from ..master.master import Master
-from ..results.largest_deviation import LargestDeviation, largest_deviation_of, machines_judged
+from ..results.largest_deviation import LargestDeviation, largest_deviation_of
 from ..results.metrics import SYNCHRONISM
 from ..results.ringdown import control_limit_pu, disturbance_end_s
 from ..run.artefacts import EVENT_SLOTS, plant_fmu
@@ -157,9 +157,7 @@ class Kept:
         scenario = self.system.scenario
         assert scenario is not None
         case = self.system.case
-        return largest_deviation_of(
-            trajectory, case, disturbance_end_s(scenario), machines_judged(case, scenario.event)
-        )
+        return largest_deviation_of(trajectory, case, disturbance_end_s(scenario), scenario.event)
 
     def start(self, job: Job, instances: Instances, left: Sequence[Beginning]) -> bool:
         """Start a job; return whether it starts from the last of what other jobs `left`."""

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from ..case.case import Case, CaseError
 from ..case.schema import Bus
 from ..grid.bus_devices import DEVICE
+from ..grid.coupling import voltage_sources
 from ..grid.machine_tables import network_states
 from ..grid.series import series_nodes
 from .variables import Variable
@@ -20,7 +21,7 @@ from .variables import Variable
 #: ShowKind of plant/numbers/layout.h
 KINDS = (
     *("dw", "delta", "pe", "vt", "tie", "bus_v", "efd", "pm", "line_p", "line_q"),
-    *("line_i", "bus_angle", "bus_re", "bus_im", "device_q", "device_p"),
+    *("line_i", "bus_angle", "bus_re", "bus_im", "device_q", "device_p", "device_angle"),
 )
 MOST_MACHINES = 100  #: of a grid that shows everything unless told otherwise
 #: names of states that outputs which see the network may list altogether, since in FMI an output that lists
@@ -45,6 +46,7 @@ def shown_of(case: Case, patterns: Sequence[str] | None = None, more: Sequence[s
         to `MOST_MACHINES` the four outputs of each machine, the tie and, as locals, all bus voltages, field
         voltages and mechanical powers; of a larger one speed and power of each machine and the tie; where
         the powers would list more than `UNASKED_NAMES` states, some 600 machines, the speeds and the tie.
+        With converters that are voltage sources also all angles, up to some 1400 machines.
     more : patterns of outputs beside those.
 
     Raises
@@ -55,7 +57,10 @@ def shown_of(case: Case, patterns: Sequence[str] | None = None, more: Sequence[s
     if patterns is not None:
         return _describable(case, _outputs(case, (*patterns, *more)))
     large = len(case.machines) > MOST_MACHINES
-    unasked = ("dw", "pe") if shows_powers(case) else ("dw",)
+    unasked = {"dw", "pe"} if shows_powers(case) else {"dw"}
+    # a source shows no speed that could be integrated in place of its angle
+    if len(case.machines) ** 2 <= UNASKED_NAMES and voltage_sources(case):
+        unasked.add("delta")
     machines = [s for s in _of_machines(case) if not large or s.kind in unasked]
     outputs, provided = [*machines, *_of_tie(case), *_of_svcs(case)], [] if large else _locals(case)
     if more:
@@ -127,7 +132,7 @@ def shown_tables(
     lines = sorted({s.of for s in shown if s.kind.startswith("line_")})
     row = {k: place for place, k in enumerate(lines)}
     port = _ports_of_devices(case, ports)
-    rows = {"device_q": port, "device_p": port} | dict.fromkeys(
+    rows = dict.fromkeys(("device_q", "device_p", "device_angle"), port) | dict.fromkeys(
         (k for k in KINDS if k.startswith("line_")), row
     )
     of = [rows[s.kind][s.of] if s.kind in rows else s.of for s in shown]
@@ -173,7 +178,9 @@ def _of_tie(case: Case) -> Iterator[Shown]:
 
 def _of_svcs(case: Case) -> Iterator[Shown]:
     network = tuple(sorted(network_states(case)))
+    angles = tuple(f"{m.name}.delta" for m in case.machines)
     nodes, place = series_nodes(case), {bus.number: k for k, bus in enumerate(case.buses)}
+    sources = voltage_sources(case)
     for k, row in enumerate(case.at_buses):
         if row.name in nodes:
             text = "size of the current through the series capacitor, base of the case"
@@ -186,6 +193,9 @@ def _of_svcs(case: Case) -> Iterator[Shown]:
         yield _output(f"{row.name}.q", f"reactive {text}", network, "device_q", k)
         if k >= len(case.svcs):
             yield _output(f"{row.name}.p", f"active {text}", network, "device_p", k)
+        if row.name in sources:
+            angle, on = "angle of its voltage to the centre of inertia", (*angles, f"{row.name}.delta")
+            yield _output(f"{row.name}_delta", angle, on, "device_angle", k, "rad")
 
 
 def _of_link(case: Case, k: int, network: tuple[str, ...]) -> Iterator[Shown]:

@@ -83,6 +83,12 @@ def model_at_bus(row: Svc | Converter | Hvdc, own: Mapping[str, Model]) -> Model
     return device_model(row.control.kind, kinds, own)
 
 
+def voltage_sources(case: Case) -> tuple[str, ...]:
+    """Return the names of the converters that are voltages behind an impedance, with their own angles."""
+    own = case.own_devices
+    return tuple(row.name for row in case.converters if model_at_bus(row, own).device.kind == "source")
+
+
 def coupled_states(device: Device) -> tuple[str, ...]:
     """Return the names of the states that set the current.
 

@@ -17,6 +17,7 @@ from interarea.cosim.screen.page import Explorer, write_grid, write_screening
 from interarea.cosim.screen.screening import START_S, Screened, Screening, run_screening, worst_first
 from interarea.cosim.trajectory import Trajectory
 from interarea.models.case.case import load_case
+from interarea.models.case.events import event_of
 
 CASE = "two-area-thesis"
 
@@ -49,10 +50,9 @@ def test_extremes_of_a_run_are_those_of_its_curves() -> None:
 
 def test_a_tripped_machine_does_not_count() -> None:
     case = load_case(CASE)
-    names = [m.name for m in case.machines]
-    assert largest_deviation_of(made_up(case), case, 0.5, names[:-1]).angle_deg == pytest.approx(
-        np.degrees(1.8)
-    )
+    table = {"kind": "machine_trip", "machine": case.machines[-1].name, "start_s": 0.5}
+    result = largest_deviation_of(made_up(case), case, 0.5, [event_of(table, where="event 1")])
+    assert result.angle_deg == pytest.approx(np.degrees(1.8))
 
 
 def test_half_a_turn_is_out_of_step() -> None:

@@ -17,13 +17,15 @@ static num bus_shown(const real *memory, const Plan *plan, size_t kind, size_t b
     return kind == SHOW_BUS_RE ? along : kind == SHOW_BUS_IM ? across : num_angle(across, along);
 }
 
-/* Active or reactive power of the device at port `of`. */
+/* Active or reactive power of the device at port `of`; of a voltage source its angle against the centre of inertia. */
 static num device_shown(const real *memory, const Plan *plan, size_t kind, size_t of, const num *x, const Work *w)
 {
     const real *row = memory + plan->port + P_ROWS * of;
     num p = NUM(0.0), q = NUM(0.0);
     if (port_is_device(row)) {
         const size_t k = plan->n_machine + index_at(row, P_DEVICE);
+        if (kind == SHOW_DEVICE_ANGLE)
+            return x[index_at(row, P_STATE)] - value_at(w->centre, memory[plan->bus_part + index_at(row, P_BUS)]);
         bus_device_power(row, x, w->sine[k], w->cosine[k], w->port.v_re[of], w->port.v_im[of], &p, &q);
     }
     return kind == SHOW_DEVICE_P ? p : q;

@@ -105,7 +105,8 @@ typedef enum { SATURATION_NONE, SATURATION_TOTAL, SATURATION_INCREMENTAL } Satur
 /* What is shown, outputs and then locals: its kind and which machine, bus or line. */
 typedef enum {
     SHOW_DW, SHOW_DELTA, SHOW_PE, SHOW_VT, SHOW_TIE, SHOW_BUS_V, SHOW_EFD, SHOW_PM, SHOW_LINE_P, SHOW_LINE_Q,
-    SHOW_LINE_I, SHOW_BUS_ANGLE, SHOW_BUS_RE, SHOW_BUS_IM, SHOW_DEVICE_Q, SHOW_DEVICE_P, SHOW_KINDS
+    SHOW_LINE_I, SHOW_BUS_ANGLE, SHOW_BUS_RE, SHOW_BUS_IM, SHOW_DEVICE_Q, SHOW_DEVICE_P,
+    SHOW_DEVICE_ANGLE, SHOW_KINDS
 } ShowKind;
 enum {  /* tie branch: buses of its measured and its other end, admittances seen from there */
     T_BRANCH, T_OWN, T_OTHER, T_OWN_RE, T_OWN_IM, T_MUTUAL_RE, T_MUTUAL_IM, T_ROWS

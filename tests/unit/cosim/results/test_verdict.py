@@ -93,6 +93,19 @@ def test_machines_of_different_islands_do_not_slip_against_each_other() -> None:
     assert motion.verdict(None).name == v.SETTLED
 
 
+def test_a_voltage_source_that_slips_is_lost_though_the_machines_settle() -> None:
+    swing = np.array([ring(0.3), -ring(0.3)])
+    turned = np.radians(400.0 * np.clip(T - 5.0, 0.0, 1.0))  # once round, then in step again
+    for islands, name in (([[0, 1, 2]], v.LOST), ([[0, 1], [2]], v.SETTLED)):
+        motion = v.Motion(["A", "B"], islands, (), (), 20.0, 2 * np.pi * 60.0, ["C"])
+        motion.add(T, swing, np.array([0.0 * T, 0.0 * T, turned]), {})
+        result = motion.verdict(None)
+        assert result.name == name and motion.rule == v.RULE
+    motion = v.Motion(["A", "B"], [[0, 1, 2]], (), (), 20.0, 2 * np.pi * 60.0, ["C"])
+    motion.add(T, swing, None, {})  # a plant that does not show it
+    assert motion.verdict(None).name == v.SETTLED and "not judged: the angle of C" in motion.rule
+
+
 def test_a_machine_alone_settles_at_another_frequency_or_does_not() -> None:
     """After a load step its speed goes to an offset; without a governor it runs away."""
     offset = -2e-3 * (1.0 - np.exp(-T / 2.0))

@@ -11,13 +11,17 @@ import scipy.optimize
 from grid_text import dyr_text, raw_text
 from plant_shim import BlockShim
 
+from interarea.cosim.results.verdict import LOST, SETTLED
+from interarea.cosim.run.run import run_scenario
 from interarea.design.linear.linearise import linearise
 from interarea.design.linear.sparse_plant import sparse_plant
 from interarea.design.linear.zero_eigenvalues import zero_eigenvalues_of
 from interarea.fmu_build.write.device_slopes import DeviceSlopes
 from interarea.models.blocks.plant import event_parameters, plant_block
+from interarea.models.blocks.plant_shown import shown_of
 from interarea.models.case.case import case_of, load_case
 from interarea.models.case.events import events_of
+from interarea.models.case.write_toml import export_toml
 from interarea.models.devices.library import library
 from interarea.models.errors import CaseError
 from interarea.models.files import default_cache
@@ -73,6 +77,34 @@ def test_it_rests_and_the_derivatives_are_those_of_differences(control, network,
     rates_off, outputs_off = plant.directional_errors(1e-4, 1e-5)
     assert rates_off < 1e-7
     assert outputs_off < 1e-6
+
+
+@pytest.mark.parametrize("network", ["dense", "sparse"])
+def test_its_angle_is_shown_against_the_centre_of_inertia(network):
+    """In closed form from the states: its own less the mean of the machines' by H times rating."""
+    case = with_source(base="two-area-thesis")
+    plant = BlockShim(plant_block(case, network=network))
+    moved = plant.x + 0.1 * np.sin(np.arange(plant.x.size))
+    _, y = plant.derivatives(moved)
+    angle = {n.removesuffix(".delta"): moved[k] for k, n in enumerate(plant.state_names) if "delta" in n}
+    weight = {m.name: m.H * m.base_mva for m in case.machines}
+    centre = sum(w * angle[m] for m, w in weight.items()) / sum(weight.values())
+    shown = y[plant.output_names.index("gfm1_delta")]
+    assert shown == pytest.approx(angle["gfm1"] - centre, abs=1e-12)
+    line = next(s.variable for s in shown_of(case) if s.variable.name == "gfm1_delta")
+    assert set(line.depends_on) == {f"{name}.delta" for name in angle} and line.unit == "rad"
+
+
+def test_a_run_in_which_it_slips_once_is_lost_though_the_machines_hardly_swing(tmp_path):
+    """A droop of 20 % turns it by half a turn and more while a fault keeps its power from the grid."""
+    export_toml(with_source(mp=0.2), tmp_path / "case.toml")
+    scenario = {"case": str(tmp_path / "case.toml"), "stop_s": 12.0, "controller": "none"}
+    found = {}
+    for end_s in (1.02, 1.2):
+        event = {"kind": "bus_fault", "bus": 8, "start_s": 1.0, "end_s": end_s}
+        found[end_s] = run_scenario(scenario | {"event": [event]}).metrics.verdict
+    assert found[1.02].name == SETTLED
+    assert found[1.2].name == LOST and found[1.2].slips == 1 and found[1.2].pair[0] == "gfm1"
 
 
 #: one converter of 100 MVA behind a line of .25 pu on an infinite bus of 1 pu; a fault is a shunt at bus 1
