@@ -18,6 +18,7 @@ from interarea.models.case.events import event_of, slot_count
 from interarea.models.errors import CaseError
 from interarea.models.grid.network import load_power
 
+from ..results.largest_deviation import judged_of, parts_of
 from ..run.swing_signal import swing_of
 from ..scenario.channels import BernoulliLoss, GilbertElliottLoss
 from ..scenario.scenario import Scenario
@@ -62,6 +63,7 @@ def content_of(subject: Subject) -> dict[str, Any]:
     scenario, case = subject.scenario, subject.case
     poles = np.linalg.eigvals(subject.linear(subject.points[0]).A)
     wrong = _wrong(case, poles)
+    names = [name for some in judged_of(case) for name in some]
     return {
         "version": VERSION,
         "name": scenario.name,
@@ -77,6 +79,7 @@ def content_of(subject: Subject) -> dict[str, Any]:
         "step": step_s(scenario),
         "solver": _solver(subject, poles),
         "machines": [{"name": m.name, "area": m.area, "bus": m.bus} for m in case.machines],
+        "islands": [[names[k] for k in rows] for rows in parts_of(case, names)],
         "buses": _buses(case),
         "branches": [
             {"name": b.name, "ends": [b.from_bus, b.to_bus], "kind": b.kind, "closed": b.in_service}

@@ -7,7 +7,7 @@ import gzip
 import html
 import json
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -28,11 +28,12 @@ from .wasm import container_wasm
 
 _WEB = Path(__file__).resolve().parent / "web"
 _SHARED = ("settings.js", "verdict.js")  #: by page and worker
-_WORKER = ("eigenvalues.js", "worker.js")
+_WORKER = ("eigenvalues.js", "judge.js", "worker.js")
 _AFTER = re.compile(r"\s+/\*[^*]*\*/$")  #: a comment behind code
 _TIGHT = re.compile(r"([:;,{}])\s+|\s+(?=\{)")  #: spaces and ends of lines that a style sheet does without
 _OPERATOR = re.compile(r" (=>|[=!]==|&&|\|\|) ")  #: what no text of the scripts holds
 _BRACE = re.compile(r"(\)|=>) \{$")  #: what opens a block at the end of a line
+_STRICT = "'use strict';"
 _PAGE = ("link.js", "plots.js", "diagram.js", "controls.js", "page.js")
 
 
@@ -86,7 +87,7 @@ def explorer_page(
     """Return the page's text; `data` and `parts`: of `page_data`, where it was called before."""
     if data is None or parts is None:
         data, parts = page_data(subject)
-    worker = "\n".join(_compact(_read(name)) for name in _WORKER)
+    worker = _script(_WORKER)
     blob = as_text(packed(data, [worker.encode(), container_wasm(subject.cache, case=subject.case), *parts]))
     name = subject.scenario.title or subject.case.title or subject.case.name
     text = _compact(_read("page.html"))
@@ -95,8 +96,8 @@ def explorer_page(
         "style": _TIGHT.sub(r"\1", _compact(_read("style.css"))).replace(";}", "}"),
         "picture": picture_of(subject),
         "blob": blob,
-        "shared": "\n".join(_compact(_read(name)) for name in _SHARED),
-        "script": "\n".join(_compact(_read(name)) for name in _PAGE),
+        "shared": _script(_SHARED),
+        "script": _script(_PAGE),
     }
     for key, value in fields.items():
         text = text.replace("{{" + key + "}}", value)
@@ -128,6 +129,12 @@ def as_text(data: bytes) -> str:
 
 def _read(name: str) -> str:
     return (_WEB / name).read_text(encoding="utf-8")
+
+
+def _script(names: Sequence[str]) -> str:
+    """Return files as one script, which is strict once."""
+    first, *others = (_compact(_read(name)) for name in names)
+    return "\n".join([first, *(text.removeprefix(f"{_STRICT}\n") for text in others)])
 
 
 def _compact(text: str) -> str:

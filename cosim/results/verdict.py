@@ -8,7 +8,7 @@ windows are compared: all from the last event on, the last `LAST_S` (a quarter o
 where that is longer), and the window of the same length before it. No window holds an instant at which an
 event or an outage begins or ends.
 
-``explorer/web/verdict.js`` is the same rule in JavaScript; a test runs both.
+``explorer/web/judge.js`` is the same rule in JavaScript; a test runs both.
 """
 
 from __future__ import annotations
@@ -346,4 +346,4 @@ def _detrended(samples: Samples) -> Array:
 
 def _share(part: float, whole: float) -> str:
     share = part / whole if whole > 0.0 else 0.0
-    return f"{100.0 * share:.2g} %"
+    return f"{100.0 * share:.0f} %" if share >= 0.095 else f"{100.0 * share:.2g} %"

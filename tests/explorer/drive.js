@@ -1,6 +1,6 @@
 /* Runs the scripts of a page in node, without a browser: `node drive.js page.html jobs.json` answers each job of the
  * list as one line of JSON. Jobs: {run: state, every, coarse, all, on: to the end}, {roots: state}, {toml: state}, {link: hash},
- * {address: state}, {judge: state}, {drag: n}. */
+ * {address: state}, {judge: state}, {decay: speeds and controls}, {drag: n}. */
 'use strict';
 const fs = require('fs'), vm = require('vm'), zlib = require('zlib'), crypto = require('crypto');
 
@@ -20,13 +20,13 @@ for (let k = 0; k < bytes.readUInt32LE(0); ++k) {
   at += length;
 }
 vm.runInContext(new TextDecoder().decode(pieces[1]), scope);
-vm.runInContext('this.api = { Container, Eigenvalues, simulate, settingsOf, tomlOf, toLink, fromLink, keysOf, judge, value };', scope);
+vm.runInContext('this.api = { Container, Eigenvalues, simulate, settingsOf, tomlOf, toLink, fromLink, keysOf, judge, decayOf, islandsOf, value };', scope);
 
 (async () => {
   const { api } = scope, data = JSON.parse(new TextDecoder().decode(pieces[0]));
   const module = new WebAssembly.Module(pieces[2]), container = new api.Container(module, data, pieces.slice(3));
   const eigenvalues = new api.Eigenvalues(data), keys = api.keysOf(data), always = async () => true;
-  const run = (state, job) => api.simulate(container, { settings: api.settingsOf(data, state), every: job.every || 1,
+  const run = (state, job) => api.simulate(container, { settings: api.settingsOf(data, state), islands: api.islandsOf(data, state), every: job.every || 1,
     all: job.all !== false, coarse: Boolean(job.coarse && !job.on), solver: job.coarse ? data.solver : null }, always);
   for (const job of JSON.parse(fs.readFileSync(process.argv[3], 'utf8'))) {
     let answer;
@@ -47,6 +47,9 @@ vm.runInContext('this.api = { Container, Eigenvalues, simulate, settingsOf, toml
       else if (job.judge) {
         const { kind, t, swing } = api.judge(data, job.judge, await run(job.judge, job));
         answer = { kind, t, swing: [...swing] };
+      } else if (job.decay) {
+        const floats = (rows) => rows.map((x) => Float64Array.from(x));
+        answer = api.decayOf({ ...job.decay, speeds: job.decay.speeds.map(floats), controls: floats(job.decay.controls) });
       } else if (job.data) answer = data;
       else if (job.imports) answer = WebAssembly.Module.imports(module);
       else if (job.memory) answer = container.exports.memory.buffer.byteLength;

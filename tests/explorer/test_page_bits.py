@@ -20,6 +20,7 @@ from fmu_runner import Runner
 
 from interarea.cli.app import main
 from interarea.cosim.export.container import container_block
+from interarea.cosim.results.verdict import LOST, SETTLED, STANDING
 from interarea.cosim.scenario.scenario import load_scenario
 from interarea.fmu_build.write.package import block_fmu
 
@@ -142,11 +143,11 @@ def test_drawn_step_shows_what_the_exact_one_shows(node: Any, data: dict[str, An
     exact = node([{"judge": state} for state in states])
     coarse = node([{"judge": state, "coarse": True} for state in states])
     assert [run["kind"] for run in coarse] == [run["kind"] for run in exact]
-    assert [run["kind"] for run in exact] == ["settles", "settles", "grows", "settles", "settles", "step"]
+    assert [run["kind"] for run in exact] == [SETTLED, SETTLED, STANDING, SETTLED, SETTLED, LOST]
     for fine, drawn in zip(exact, coarse, strict=True):
-        until = slice(None) if fine["kind"] != "step" else slice(0, int(100 * fine["t"]))
+        until = slice(None) if fine["kind"] != LOST else slice(0, int(100 * fine["t"]))
         error = np.max(np.abs(np.subtract(fine["swing"][until], drawn["swing"][until])))
-        assert error < (2e-3 * np.max(np.abs(fine["swing"][until])) if fine["kind"] == "step" else 0.01)
+        assert error < (2e-3 * np.max(np.abs(fine["swing"][until])) if fine["kind"] == LOST else 0.01)
 
 
 @pytest.mark.slow
@@ -158,7 +159,7 @@ def test_no_drawn_run_loses_synchronism_falsely(node: Any, data: dict[str, Any])
     states += [fault | {"tc": tc, "k": k} for k in ("none", "cc") for tc in range(65, 501, 60)]
     states += [fault | {"tc": tc, "cl": 0, "fault": 7} for tc in range(80, 501, 60)]
     exact = [run["kind"] for run in node([{"judge": state} for state in states])]
-    assert {"step", "settles"} <= set(exact)
+    assert {LOST, SETTLED} <= set(exact)
     assert [run["kind"] for run in node([{"judge": state, "coarse": True} for state in states])] == exact
 
 
@@ -174,13 +175,13 @@ def test_a_drawn_run_ends_when_synchronism_is_lost(node: Any, data: dict[str, An
             {"judge": fault, "coarse": True},
         ]
     )
-    assert judged["kind"] == "step"
+    assert judged["kind"] == LOST
     assert judged["t"] + 1.0 < short["rows"] / 100.0 < judged["t"] + 3.0
     assert long["rows"] == 2001
     assert whole.read_bytes().startswith(drawn.read_bytes())
     stays = fault | {"tc": 50}
     short, judged = node([{"run": stays, "coarse": True}, {"judge": stays}])
-    assert judged["kind"] == "settles"
+    assert judged["kind"] == SETTLED
     assert short["rows"] == 2001
 
 

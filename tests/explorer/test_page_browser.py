@@ -155,7 +155,7 @@ def test_six_clicks_tell_the_story(browser: Any, page: Path) -> None:
             assert "all" in it.tab.inner_text("#planenote")
             assert "not all found" not in it.tab.inner_text("#planenote")
         assert [text.split()[0] for text in reported] == [
-            "Stable,", "Stable.", "Unstable.", "Stable.", "Stable.", "Out",
+            "Settled.", "Settled.", "Standing", "Settled.", "Settled.", "Synchronism",
         ]  # fmt: skip
         assert "every eigenvalue is damped" in reported[5]
         assert "without the controller the grid stays in step" in it.tab.inner_text("#numbers")

@@ -144,7 +144,7 @@ def test_presets_have_the_bits_of_node(firefox: Firefox, page: Path, runs_of_nod
         assert base64.b64decode(rows) == content
     assert firefox.run("explorer.preset(5); return 1") == 1
     assert firefox.wait(SHOWN) is True
-    assert firefox.run("return document.getElementById('words').textContent").startswith("Out of step")
+    assert firefox.run("return document.getElementById('words').textContent").startswith("Synchronism lost")
     firefox.wait(
         "const [done] = arguments; setTimeout(done, 50); setTimeout(() => { throw new Error('heard'); });"
     )

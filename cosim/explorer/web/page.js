@@ -235,7 +235,7 @@ class Explorer {
         this.base = message.base;
         this.baseKey = waiter.baseKey;
       }
-      this.judged = judge(this.data, waiter.state, message);
+      this.judged = message.judged;
       this.frames = (this.frames || 0) + 1;
       this.later('curves');
     } else if (message.error) {
@@ -298,7 +298,7 @@ class Explorer {
     const withBase = (series, of) => (base ? [{ y: of(base), colour: 'reference', width: 1.1 }, ...series] : series);
     const swing = this.judged.swing;
     this.curves = { swing };
-    plots.swing.draw({ ...shared, series: withBase([{ y: swing, colour: 'area1' }], () => judgedAlone(data, state, base).swing), axis: false });
+    plots.swing.draw({ ...shared, series: withBase([{ y: swing, colour: 'area1' }], () => base.judged.swing), axis: false });
     if (plots.tie) {
       const power = (r) => {
         r.power = r.power || column(r, 'tie_p').map((x) => x * data.case.base);
@@ -342,19 +342,18 @@ class Explorer {
   /* Verdict, second line, and what screen readers say of the curves. */
   describe() {
     const { data, result, judged } = this, state = this.resultState, words = $('words');
-    const least = this.roots && this.roots.roots ? leastDamped(this.roots.roots) : null;
+    const least = this.roots && this.roots.least;
     const [bold, rest, kind] = verdictWords(data, state, judged, least);
     words.setAttribute('aria-live', result.exact ? 'polite' : 'off');
     put(words.firstElementChild, bold, result.exact);
     words.firstElementChild.className = kind;
     put(words.lastElementChild, rest, result.exact);
     const entries = ledger(data, state, result), sent = entries.reduce((n, e) => n + e.sent, 0), lost = entries.reduce((n, e) => n + e.dropped + e.late, 0);
-    const limited = atLimit(data, state, result);
     put($('numbers'), [
       least ? `least damped swing: ${digits(least.hertz, 2)} Hz, damping ratio ${digits(least.zeta, 3)}` : '',
       aloneWords(data, state, judged, this.base),
       lost ? `${lost} of ${sent} packets lost or late` : '',
-      limited > 0.05 ? `control at its limit ${digits(limited, 1)} s` : '',
+      judged.limited > 0.05 ? `control at its limit ${digits(judged.limited, 1)} s` : '',
       judged.kind === 'collapse' ? result.why.replace(/^fmi2\w+: /, '') : '',
     ].filter(Boolean).join(' · '));
     put($('cost'), `${result.exact ? 'exact: solver step' : 'coarse: solver step up to'} ${Number((1000 * (result.exact ? data.solver.exact : data.solver.drawn)).toFixed(2))} ms · ${Math.round((result.rows.length / result.columns.length - 1) * result.h)} s in ${Math.round(result.ms)} ms`);

@@ -140,7 +140,7 @@ async function simulate(container, request, goOn) {
       why = container.text(container.exports.message(container.session));
       break;
     }
-    if (request.coarse && !Number.isFinite(lost)) lost = (done - wanted) * h + outOfStep(data, { columns, rows: some, h });
+    if (request.coarse && !Number.isFinite(lost)) lost = (done - wanted) * h + outOfStep(request.islands, { columns, rows: some, h });
     else if (!request.coarse && performance.now() - began > 60 && !(await goOn())) return null;
   }
   return { columns, rows: rows.subarray(0, done * width).slice(), h, why, ms: performance.now() - began };
@@ -167,21 +167,25 @@ function serve(scope) {
       await turn();
       return waiting === null || request.coarse || request.keep;
     };
-    const first = !begun, roots = () => request.roots && scope.postMessage({ eigenvalues: request.run, ...eigenvalues.of(request.state) });
+    const first = !begun, roots = () => {
+      if (!request.roots) return;
+      const found = eigenvalues.of(request.state);
+      scope.postMessage({ eigenvalues: request.run, ...found, least: leastDamped(found.roots) });
+    };
     begun = true;
     try {
       if (!first) roots();   /* at once; the first ones are looked for from afar: curves before them */
-      const exact = { settings: settingsOf(data, request.state), every: request.every, all: request.all, coarse: request.coarse,
+      const exact = { settings: settingsOf(data, request.state), islands: islandsOf(data, request.state), every: request.every, all: request.all, coarse: request.coarse,
         solver: request.coarse ? data.solver : null };
       const result = await simulate(container, exact, goOn);
       if (!result) return scope.postMessage({ dropped: request.run });
-      const sent = { result: request.run, ...result, exact: !request.coarse };
+      const sent = { result: request.run, ...result, exact: !request.coarse, judged: judge(data, request.state, result) };
       const transfer = [result.rows.buffer];
       if (request.base) {
-        const alone = settingsOf(data, { ...request.state, k: 'none' });
-        const base = await simulate(container, { ...exact, settings: alone, all: false }, goOn);
+        const alone = { ...request.state, k: 'none' };
+        const base = await simulate(container, { ...exact, settings: settingsOf(data, alone), all: false }, goOn);
         if (base) {
-          sent.base = base;
+          sent.base = { ...base, judged: judge(data, alone, base) };
           transfer.push(base.rows.buffer);
         }
       }
