@@ -1,15 +1,7 @@
 """A grid with a share of every machine replaced by an inverter at its bus, the power flow unchanged.
 
 Every machine that gives active power keeps 1 - share of its rating, of its P and of its Q; an inverter at the
-same bus gives the rest. Grid-following: the package's `wecc_converter`. Grid-forming: REGFM_A1 with Vflag 0,
-mq = 0 and no limit reached, a voltage E behind Xe that turns by the droop of its filtered power,
-
-.. math:: \\dot\\delta = \\omega_b\\, m_p (P_{set} - P_f), \\qquad T\\,\\dot P_f = P - P_f ,
-
-which is to the last term the swing equation of a machine with constant EMF: with
-:math:`\\Delta\\omega = m_p (P_{set} - P_f)` follows
-:math:`(T/m_p)\\,\\Delta\\dot\\omega = P_{set} - P - \\Delta\\omega/m_p`, so 2H = T/mp and D = 1/mp
-[DArco2014]. It is put into the case as that machine.
+same bus gives the rest. Grid-following: the package's `wecc_converter`. Grid-forming: its `regfm_a1`.
 """
 
 from __future__ import annotations
@@ -46,8 +38,17 @@ FOLLOWS: Mapping[str, Any] = {
     "plant_Qmax": 0.9,
     "plant_Qmin": -0.9,
 }
-#: droop (pu of speed by pu of power), its filter (s) and its reactance (pu) of a grid-forming inverter
-DROOP, FILTER_S, REACTANCE = 0.05, 0.01, 0.15
+#: controls of a grid-forming inverter: the device's defaults, which are the published ones, but a droop of
+#: 5 % as of governors, the current limit of the grid-following one, and limits wide enough for any dispatch
+FORMS: Mapping[str, Any] = {
+    "kind": "regfm_a1",
+    "mp": 0.05,
+    "Imax": 1.2,
+    "Emax": 1.3,
+    "Qmax": 0.9,
+    "Qmin": -0.9,
+}
+CONTROLS = {FOLLOWING: FOLLOWS, FORMING: FORMS}
 _RATED = ("Trate",)  #: values of a governor in MVA
 
 
@@ -69,16 +70,13 @@ def replaced(case: Case, kind: str, share: float) -> Case:
         if not power.real > 0.0 or row.model not in ("round_rotor", "classical"):
             continue
         machines[row.name] = _smaller(row, power, 1.0 - share)
-        inverter = {
+        converters[f"{row.name}_inverter"] = {
             "bus": row.bus,
             "base_mva": max(share * row.base_mva, share * abs(power) / LOADED),
             "P_mw": share * power.real,
             "Q_mvar": share * power.imag,
+            "control": dict(CONTROLS[kind]),
         }
-        if kind == FOLLOWING:
-            converters[f"{row.name}_inverter"] = inverter | {"control": dict(FOLLOWS)}
-        else:
-            machines[f"{row.name}_inverter"] = inverter | _forming(row)
     change = {"machines": machines, "converters": converters}
     return case.with_changes(change, name=f"{case.name}-{kind}-{round(100 * share)}")
 
@@ -92,17 +90,3 @@ def _smaller(row: Machine, power: complex, left: float) -> dict[str, Any]:
     }
     rated = {key: left * getattr(row.governor, key) for key in _RATED if getattr(row.governor, key, 0.0)}
     return change | ({"governor": rated} if rated else {})
-
-
-def _forming(row: Machine) -> dict[str, Any]:
-    """Return the machine that a grid-forming inverter is, apart from its power."""
-    return {
-        "area": row.area,
-        "model": "classical",
-        "H": FILTER_S / (2.0 * DROOP),
-        "D": 1.0 / DROOP,
-        "Xd1": REACTANCE,
-        "V_pu": row.V_pu,
-        "exciter": {"kind": "constant"},
-        "governor": {"kind": "none"},
-    }

@@ -19,7 +19,7 @@ from ..errors import machine_error
 from ..grid_study.automatic import Report
 from ..grid_study.clock import Clock
 from .page import write_inverter_page
-from .replaced import DROOP, FILTER_S, KINDS, REACTANCE
+from .replaced import CONTROLS, KINDS
 from .steps import BAND_HZ, BELOW, LATENCY_S, LINK_MS, GridSteps, StepModes, Swing, traced
 from .words import conclusion
 
@@ -67,7 +67,7 @@ def study_inverters(
             "below": BELOW,
             "latency_ms": round(1e3 * LATENCY_S),
             "link_ms": LINK_MS,
-            "droop": {"mp": DROOP, "filter_s": FILTER_S, "reactance_pu": REACTANCE},
+            "controls": {kind: dict(values) for kind, values in CONTROLS.items()},
             "no_time_for": clock.left_out,
             "grids": [one.as_dict() for one in swept],
             "versions": {"interarea": version("interarea")},

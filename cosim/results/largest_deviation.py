@@ -79,7 +79,7 @@ def parts_of(case: Case, names: Sequence[str]) -> list[list[int]]:
     """Places of machines and sources in each part of the network: between parts angles mean nothing."""
     if sum(m.slack for m in case.machines) == 1:  # each part has one
         return [list(range(len(names)))]
-    at = {row.name: row.bus for row in (*case.machines, *case.converters)}
+    at = {m.name: m.bus for m in case.machines} | {c.name: c.bus for c in case.converters}
     islands = [[k for k, name in enumerate(names) if at[name] in part] for part in islands_of(case)]
     return [places for places in islands if places]
 

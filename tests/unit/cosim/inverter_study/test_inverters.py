@@ -13,14 +13,11 @@ from command_line import invoke
 import interarea as ia
 from interarea.cosim.inverter_study import study as study_module
 from interarea.cosim.inverter_study.replaced import (
-    DROOP,
-    FILTER_S,
     FOLLOWING,
     FORMING,
+    FORMS,
     KINDS,
     LOADED,
-    REACTANCE,
-    _forming,
     _smaller,
     replaced,
 )
@@ -29,6 +26,7 @@ from interarea.cosim.inverter_study.study import FILES, inverter_rows, study_inv
 from interarea.cosim.inverter_study.words import conclusion
 from interarea.fmu_build.write.cache import default_cache
 from interarea.models.case.case import case_of, load_case
+from interarea.models.devices.library import library
 from interarea.models.grid.powerflow import solve_powerflow
 
 
@@ -44,8 +42,7 @@ def test_every_step_has_the_power_flow_of_the_grid_without_inverters(grid, kind)
         kept = dict(zip([m.name for m in step.machines], after.generation, strict=True))
         for machine, power in zip(case.machines, before.generation, strict=True):
             assert kept[machine.name] == pytest.approx((1.0 - share) * power, abs=1e-7)
-            inverters = step.converters if kind == FOLLOWING else step.machines
-            one = next(row for row in inverters if row.name == f"{machine.name}_inverter")
+            one = next(row for row in step.converters if row.name == f"{machine.name}_inverter")
             rated = max(share * machine.base_mva, share * abs(power) * case.base_mva / LOADED)
             assert one.base_mva == pytest.approx(rated)
     assert replaced(case, kind, 0.0) is case
@@ -59,9 +56,12 @@ def test_a_rating_of_a_governor_follows_its_machine():
 
 
 def test_a_grid_forming_inverter_swings_as_its_droop_says():
-    """On an infinite bus: delta' = w0 mp (P0 - Pf), T Pf' = K delta - Pf, K = E V cos(delta0)/X."""
+    """On an infinite bus: delta' = w0 mp (P0 - Pf), Tpf Pf' = K delta - Pf, K = E V cos(delta0)/X.
+
+    Its voltage E is constant with its control of the voltage and of Q left out (Vflag and mq of 0).
+    """
+    control = FORMS | {"Vflag": 0.0, "mq": 0.0, "kppmax": 0.0, "kipmax": 0.0, "kpqmax": 0.0, "kiqmax": 0.0}
     bus = {"area": 1}
-    row = _forming(load_case("two-area-thesis").machines[0]) | {"V_pu": 1.0}
     far = {"area": 1, "model": "infinite_bus", "Xd1": 1e-4}
     document = {
         "name": "droop",
@@ -71,18 +71,20 @@ def test_a_grid_forming_inverter_swings_as_its_droop_says():
         "base_mva": 100.0,
         "buses": {"1": bus, "2": bus},
         "branches": {"line": {"from": 1, "to": 2, "x": 0.25}},
-        "machines": {
-            "G1": row | {"bus": 1, "base_mva": 100.0, "P_mw": 50.0},
-            "G2": far | {"bus": 2, "base_mva": 1e6, "P_mw": 0.0, "V_pu": 1.0, "slack": True},
+        "machines": {"G2": far | {"bus": 2, "base_mva": 1e6, "P_mw": 0.0, "V_pu": 1.0, "slack": True}},
+        "converters": {
+            "gfm1": {"bus": 1, "base_mva": 100.0, "P_mw": 50.0, "Q_mvar": 0.0, "control": control}
         },
     }
     case = case_of(document, where="droop")
+    values = {p.name: p.default for p in library()["regfm_a1"].device.parameters} | control
+    X, T, droop = values["Xe"], values["Tpf"], values["mp"]
     flow = solve_powerflow(case)
-    V, S = flow.voltage(1), flow.generation[0]
-    E = V + 1j * REACTANCE * np.conj(S / V)
-    away = flow.voltage(2) + 1j * 1e-8 * np.conj(flow.generation[1] / flow.voltage(2))
-    K = abs(E) * abs(away) * np.cos(np.angle(E / away)) / (REACTANCE + 0.25 + 1e-8)
-    wanted = np.roots([FILTER_S, 1.0, case.omega_b * DROOP * K])
+    V, S = flow.voltage(1), 0.5
+    E = V + 1j * X * np.conj(S / V)
+    away = flow.voltage(2) + 1j * 1e-8 * np.conj(flow.generation[0] / flow.voltage(2))
+    K = abs(E) * abs(away) * np.cos(np.angle(E / away)) / (X + 0.25 + 1e-8)
+    wanted = np.roots([T, 1.0, case.omega_b * droop * K])
     A = np.asarray(ia.linearise(case).A)
     for value in wanted:
         assert np.min(np.abs(np.linalg.eigvals(A) - value)) < 1e-5 * abs(value)
