@@ -57,11 +57,8 @@ def shown_of(case: Case, patterns: Sequence[str] | None = None, more: Sequence[s
     if patterns is not None:
         return _describable(case, _outputs(case, (*patterns, *more)))
     large = len(case.machines) > MOST_MACHINES
-    unasked = {"dw", "pe"} if shows_powers(case) else {"dw"}
-    # a source shows no speed that could be integrated in place of its angle
-    if len(case.machines) ** 2 <= UNASKED_NAMES and voltage_sources(case):
-        unasked.add("delta")
-    machines = [s for s in _of_machines(case) if not large or s.kind in unasked]
+    kinds = _kinds_of_large(case) if large else KINDS
+    machines = [s for s in _of_machines(case) if s.kind in kinds]
     outputs, provided = [*machines, *_of_tie(case), *_of_svcs(case)], [] if large else _locals(case)
     if more:
         named = {s.variable.name for s in outputs}
@@ -69,6 +66,17 @@ def shown_of(case: Case, patterns: Sequence[str] | None = None, more: Sequence[s
         named = {s.variable.name for s in outputs}
         provided = [s for s in provided if s.variable.name not in named]
     return [*_describable(case, outputs), *provided]
+
+
+def _kinds_of_large(case: Case) -> Sequence[str]:
+    """Return what a large grid shows of its machines unless told otherwise."""
+    kinds = ["dw"]
+    if shows_powers(case):
+        kinds.append("pe")
+    # a source shows no speed that could be integrated in place of its angle
+    if len(case.machines) ** 2 <= UNASKED_NAMES and voltage_sources(case):
+        kinds.append("delta")
+    return kinds
 
 
 def shows_powers(case: Case) -> bool:
