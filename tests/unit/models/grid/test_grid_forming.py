@@ -99,12 +99,12 @@ def test_a_run_in_which_it_slips_once_is_lost_though_the_machines_hardly_swing(t
     """A droop of 20 % turns it by half a turn and more while a fault keeps its power from the grid."""
     export_toml(with_source(mp=0.2), tmp_path / "case.toml")
     scenario = {"case": str(tmp_path / "case.toml"), "stop_s": 12.0, "controller": "none"}
-    found = {}
+    verdicts = {}
     for end_s in (1.02, 1.2):
         event = {"kind": "bus_fault", "bus": 8, "start_s": 1.0, "end_s": end_s}
-        found[end_s] = run_scenario(scenario | {"event": [event]}).metrics.verdict
-    assert found[1.02].name == SETTLED
-    assert found[1.2].name == LOST and found[1.2].slips == 1 and found[1.2].pair[0] == "gfm1"
+        verdicts[end_s] = run_scenario(scenario | {"event": [event]}).metrics.verdict
+    assert verdicts[1.02].name == SETTLED
+    assert verdicts[1.2].name == LOST and verdicts[1.2].slips == 1 and verdicts[1.2].pair[0] == "gfm1"
 
 
 #: one converter of 100 MVA behind a line of .25 pu on an infinite bus of 1 pu; a fault is a shunt at bus 1
