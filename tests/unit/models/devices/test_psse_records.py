@@ -30,7 +30,9 @@ QUICK = ("GENROU", "GENSAL", "ESAC1A", "PSS2B")
 def test_the_plant_follows_psse(name):
     """Within 2e-3 of the record's range: what PSS/E's own step of 5 ms leaves.
 
-    2.5e-3 for PSS2C, which was off for a while in PSS/E: its switch has a lag of 10 ms here.
+    1e-3 for PSS2C, by steps of 1 ms. Its power crosses the thresholds at 1.608 and 2.033 s; PSS/E begins
+    5 ms steps at 1.610 and 2.035 s. The record is followed best where the switch acts at 1.6120 and 2.0375:
+    within 3.6e-4 (that of PSS2B, without a switch: 4.0e-4); with a lag of 2 ms, within 3.9e-3.
     """
     record = RECORDS[name]
     case = import_psse(HERE / record["raw"], HERE / record["dyr"]).case
@@ -44,7 +46,7 @@ def test_the_plant_follows_psse(name):
         event = {"kind": "branch_trip", "branch": line}
     parameters = event_parameters(case, events_of([event | {"start_s": 1.0}], where="record"))
     plant = BlockShim(plant_block(case), parameters)
-    times, states, outputs = plant.run(6.0, 0.004)
+    times, states, outputs = plant.run(6.0, 0.001 if name == "PSS2C" else 0.004)
     if record["column"].startswith("delta"):
         values = np.degrees(states[:, plant.state_names.index(f"{machine.name}.delta")])
     else:
@@ -52,7 +54,7 @@ def test_the_plant_follows_psse(name):
     wanted = np.array(record["value"])
     error = np.abs(np.interp(record["time_s"], times, values) - wanted)
     assert error[0] < 5e-5 * max(1.0, abs(wanted[0]))  # the start, digit for digit as printed
-    assert error.max() < (2.5e-3 if name == "PSS2C" else 2e-3) * np.ptp(wanted)
+    assert error.max() < (1e-3 if name == "PSS2C" else 2e-3) * np.ptp(wanted)
 
 
 def test_pss2c_remembers_between_its_thresholds_whether_it_is_on() -> None:
@@ -66,5 +68,5 @@ def test_pss2c_remembers_between_its_thresholds_whether_it_is_on() -> None:
         states[3:] = 1e-3
         states[-1] = on
         signals, rates = rest.instance.run(states, inputs | {"pe": pe})
-        assert on + 0.01 * rates[-1] == pytest.approx(then)
+        assert on + 0.0072 * rates[-1] == pytest.approx(then)
         assert (signals["vs"] != 0.0) == bool(on)
