@@ -23,7 +23,7 @@ function verdictWords(data, state, { kind, t, spans, window, atLimit }, least) {
   }
   if (place < 0) return ['Not judged.', 'The run ends too soon after the last event.', 'bad'];
   if (place === 3) return ['Growing.', controllerOf(data, state) ? 'The loop feeds the swing.' : 'The swing grows by itself.', 'bad'];
-  if (place === 2) return ['Standing swing.', atLimit ? 'The control stays at its limit.' : 'It does not die out.', 'bad'];
+  if (place === 2) return ['Standing swing.', atLimit ? 'The control still reaches its limit.' : 'It does not die out.', 'bad'];
   const still = spans[0] < NOTHING;
   if (least && least.rate > 0 && window[1] >= data.stop && (still || least.rate * (window[1] - window[0]) < 2))
     return ['Growing.', 'An eigenvalue grows, too slowly for this run to show it.', 'bad'];

@@ -107,7 +107,7 @@ def test_an_input_reaches_its_own_plant(plants: PlantLanes) -> None:
 WITH_DEVICES = """
 base = "two-area-thesis"
 name = "devices"
-title = "two areas with a converter plant, an SVC, a series capacitor and a dc link"
+title = "two areas with converters, an SVC, a series capacitor and a dc link"
 source = "test"
 [change.svcs]
 svc1 = { bus = 8, base_mva = 200.0, V_pu = 0.97, control = { kind = "svc", K = 20.0, TR = 0.05 } }
@@ -115,6 +115,7 @@ svc1 = { bus = 8, base_mva = 200.0, V_pu = 0.97, control = { kind = "svc", K = 2
 tcsc1 = { branch = "7-8 a", x0_pu = 0.044, x_max_pu = 0.08 }
 [change.converters]
 pv1 = { bus = 7, base_mva = 200.0, P_mw = 100.0, Q_mvar = 20.0, control = { kind = "wecc_converter" } }
+gfm1 = { bus = 8, base_mva = 100.0, P_mw = 50.0, Q_mvar = 5.0, control = { kind = "regfm_a1", Imax = 1.2 } }
 [change.hvdcs.hvdc1]
 rectifier_bus = 7
 inverter_bus = 9
@@ -132,19 +133,22 @@ l_mh = 800.0
 
 
 def test_devices_at_buses_have_the_same_bits_in_lanes(cache: Path, tmp_path: Path) -> None:
-    """An SVC, a series capacitor, a converter plant and a dc link through a fault; most runs lose some."""
+    """An SVC, a series capacitor, both kinds of converters and a dc link through a fault; most lose some."""
     path = tmp_path / "devices.toml"
     path.write_text(WITH_DEVICES)
     case = load_case(path)
     fault = {"kind": "bus_fault", "bus": 9, "start_s": 0.1, "end_s": 0.2, "x_pu": 0.05}
     lost = [[], [{"kind": "device_trip", "device": name, "start_s": 0.25} for name in ("pv1", "hvdc1")]]
-    lost.append([{"kind": "device_trip", "device": name, "start_s": 0.3} for name in ("svc1", "tcsc1")])
+    lost.append(
+        [{"kind": "device_trip", "device": name, "start_s": 0.3} for name in ("svc1", "tcsc1", "gfm1")]
+    )
     rows = [event_parameters(case, events_of([fault, *lost[k % 3]], where="test")) for k in range(5)]
-    plants = PlantLanes(case, cache, more=["svc1.*", "pv1.*", "tcsc1.*", "hvdc1.*"])
+    plants = PlantLanes(case, cache, more=["svc1.*", "pv1.*", "gfm1*", "tcsc1.*", "hvdc1.*"])
     alone = plants.run(rows, stop_s=0.6, lanes=1)
     assert np.all(np.isfinite(alone.outputs)) and not any(alone.errors)
     assert np.all(alone.of("pv1.p")[-1, [1, 4]] == 0.0) and np.all(alone.of("pv1.p")[-1, [0, 2, 3]] > 0.5)
-    assert alone.of("svc1.q")[-1, 2] == 0.0
+    assert alone.of("svc1.q")[-1, 2] == alone.of("gfm1.p")[-1, 2] == 0.0
+    assert np.ptp(alone.of("gfm1_delta")[:, 0]) > 0.1
     ends = alone.of("hvdc1.p_inverter")[-1]
     assert np.all(ends[[1, 4]] == 0.0) and np.all(ends[[0, 2, 3]] > 0.5)
     assert np.ptp(alone.of("tcsc1.i")[-1]) > 0.1
