@@ -148,7 +148,7 @@ class Run(Result):
 
     @property
     def synchronous(self) -> bool:
-        """Whether no two machines of an island came half a turn apart."""
+        """Whether no two machines or voltage sources of an island came half a turn apart."""
         return self.verdict.synchronous
 
     def damping_ratio(

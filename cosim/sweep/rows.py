@@ -40,8 +40,8 @@ _COLUMNS = {
 Row = dict[str, Any]
 #: column of `SYNCHRONISM` -> type, unit, meaning
 _DEVIATION = {
-    "synchronous": (pa.bool_(), "", "no two machines came half a turn apart"),
-    "angle_deg": (pa.float64(), "deg", "largest angle between two machines"),
+    "synchronous": (pa.bool_(), "", "no two machines or voltage sources came half a turn apart"),
+    "angle_deg": (pa.float64(), "deg", "largest angle between two machines or voltage sources"),
     "voltage_pu": (pa.float64(), "pu", "lowest voltage after the last event"),
     "voltage_at": (pa.string(), "", "where that is"),
     "nadir_hz": (pa.float64(), "Hz", "lowest frequency of a machine"),
