@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import atexit
-import gc
 import os
 import signal
 import sys
@@ -60,6 +59,8 @@ def main() -> None:
     numbers = _signals()
     for number in numbers:
         signal.signal(number, _stop)
+    import gc
+
     gc.set_threshold(_ALLOCATIONS)
     for pool in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):  # numpy's and scipy's fight over small matrices
         os.environ.setdefault(pool, "1")
