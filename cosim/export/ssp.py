@@ -10,12 +10,11 @@ from __future__ import annotations
 
 from collections.abc import Container, Iterable, Mapping, Sequence
 from pathlib import Path
-from xml.sax.saxutils import quoteattr
 
 from interarea.fmu_build.open.description import ScalarVariable
 from interarea.fmu_build.open.ports import Port
 from interarea.fmu_build.open.units import BASE, UnitOf
-from interarea.fmu_build.write.description_xml import product_version
+from interarea.fmu_build.write.description_xml import attributes, product_version
 from interarea.fmu_build.write.package import archive_bytes, build_fmu
 from interarea.models.files import temporary_folder, write_whole
 
@@ -80,19 +79,19 @@ def structure(members: Members) -> str:
     experiment = {"startTime": 0.0, "stopTime": float(scenario.stop_s)}
     lines = [
         '<?xml version="1.0" encoding="UTF-8"?>',
-        f"<ssd:SystemStructureDescription{_attributes(head)}>",
-        f"  <ssd:System{_attributes({'name': 'loop', 'description': scenario.title or None})}>",
+        f"<ssd:SystemStructureDescription{attributes(head)}>",
+        f"  <ssd:System{attributes({'name': 'loop', 'description': scenario.title or None})}>",
         "    <ssd:Elements>",
         *(line for m in members.all for line in _component(m, fed)),
         "    </ssd:Elements>",
         *_connections(members.connections),
         "  </ssd:System>",
         *_units("ssd", units),
-        f"  <ssd:DefaultExperiment{_attributes(experiment)}>",
+        f"  <ssd:DefaultExperiment{attributes(experiment)}>",
         "    <ssd:Annotations>",
         '      <ssc:Annotation type="com.opensimulationplatform">',
         "        <osp:Algorithm>",
-        f"          <osp:FixedStepAlgorithm{_attributes({'baseStepSize': members.step_s})}/>",
+        f"          <osp:FixedStepAlgorithm{attributes({'baseStepSize': members.step_s})}/>",
         "        </osp:Algorithm>",
         "      </ssc:Annotation>",
         "    </ssd:Annotations>",
@@ -114,10 +113,10 @@ def parameter_set(member: Member) -> str:
     head = {"xmlns:ssv": _SSV, "xmlns:ssc": _SSC, "version": "1.0", "name": "start"}
     lines = [
         '<?xml version="1.0" encoding="UTF-8"?>',
-        f"<ssv:ParameterSet{_attributes(head)}>",
+        f"<ssv:ParameterSet{attributes(head)}>",
         "  <ssv:Parameters>",
         *(
-            f"    <ssv:Parameter{_attributes({'name': v.name})}>{_value(member, v)}</ssv:Parameter>"
+            f"    <ssv:Parameter{attributes({'name': v.name})}>{_value(member, v)}</ssv:Parameter>"
             for v in variables
         ),
         "  </ssv:Parameters>",
@@ -133,25 +132,25 @@ def _settable(member: Member) -> list[ScalarVariable]:
 
 
 def _component(member: Member, fed: Container[str]) -> list[str]:
-    attributes = {
+    head = {
         "name": member.name,
         "description": member.file.model.description or None,
         "type": "application/x-fmu-sharedlibrary",
         "source": f"resources/{member.name}.fmu",
         "implementation": "CoSimulation",
     }
-    lines = [f"      <ssd:Component{_attributes(attributes)}>", "        <ssd:Connectors>"]
+    lines = [f"      <ssd:Component{attributes(head)}>", "        <ssd:Connectors>"]
     for kind, port in _signals(member, fed):
-        where = _attributes({"name": port.name, "kind": kind, "description": port.description or None})
+        where = attributes({"name": port.name, "kind": kind, "description": port.description or None})
         unit = port.unit.name if port.unit is not None and port.unit.exponents is not None else None
-        of_type = f"<ssc:{port.type}{_attributes({'unit': unit})}/>"
+        of_type = f"<ssc:{port.type}{attributes({'unit': unit})}/>"
         lines.append(f"          <ssd:Connector{where}>{of_type}</ssd:Connector>")
     lines.append("        </ssd:Connectors>")
     if _settable(member):
         binding = {"type": "application/x-ssp-parameter-set", "source": f"resources/{member.name}.ssv"}
         lines += [
             "        <ssd:ParameterBindings>",
-            f"          <ssd:ParameterBinding{_attributes(binding)}/>",
+            f"          <ssd:ParameterBinding{attributes(binding)}/>",
             "        </ssd:ParameterBindings>",
         ]
     return [*lines, "      </ssd:Component>"]
@@ -173,7 +172,7 @@ def _connections(pairs: Iterable[tuple[str, str]]) -> list[str]:
     for source, target in pairs:
         (a, b), (c, d) = source.split(".", 1), target.split(".", 1)
         ends = {"startElement": a, "startConnector": b, "endElement": c, "endConnector": d}
-        lines.append(f"      <ssd:Connection{_attributes(ends)}/>")
+        lines.append(f"      <ssd:Connection{attributes(ends)}/>")
     return ["    <ssd:Connections>", *lines, "    </ssd:Connections>"] if lines else []
 
 
@@ -182,9 +181,9 @@ def _value(member: Member, v: ScalarVariable) -> str:
     kinds = {"Real": float, "Integer": int, "Boolean": bool, "String": str}
     if v.type == "Enumeration":
         items = {value: item for item, value in member.file.enumerations[v.name].items()}
-        return f"<ssv:Enumeration{_attributes({'value': items[int(number)]})}/>"
+        return f"<ssv:Enumeration{attributes({'value': items[int(number)]})}/>"
     unit = v.unit if v.unit in member.file.model.unit_table else None
-    return f"<ssv:{v.type}{_attributes({'value': kinds[v.type](number), 'unit': unit})}/>"
+    return f"<ssv:{v.type}{attributes({'value': kinds[v.type](number), 'unit': unit})}/>"
 
 
 def _units(space: str, units: Mapping[str, UnitOf]) -> list[str]:
@@ -197,17 +196,6 @@ def _units(space: str, units: Mapping[str, UnitOf]) -> list[str]:
             k: v for k, v, usual in (("factor", unit.factor, 1.0), ("offset", unit.offset, 0.0)) if v != usual
         }
         lines.append(
-            f"    <ssc:Unit{_attributes({'name': name})}><ssc:BaseUnit{_attributes(base)}/></ssc:Unit>"
+            f"    <ssc:Unit{attributes({'name': name})}><ssc:BaseUnit{attributes(base)}/></ssc:Unit>"
         )
     return [f"  <{space}:Units>", *lines, f"  </{space}:Units>"] if lines else []
-
-
-def _attributes(values: Mapping[str, object]) -> str:
-    """XML attributes of the values that are not None."""
-    return "".join(f" {k}={quoteattr(_text(v))}" for k, v in values.items() if v is not None)
-
-
-def _text(value: object) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    return repr(value) if isinstance(value, float) else str(value)

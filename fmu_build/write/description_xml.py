@@ -7,7 +7,6 @@ import hashlib
 import math
 from collections.abc import Iterable, Mapping
 from importlib.metadata import PackageNotFoundError, version
-from xml.sax.saxutils import quoteattr
 
 import numpy as np
 import numpy.typing as npt
@@ -160,13 +159,13 @@ def _description(block: Block, guid: str, c_files: list[str]) -> str:
     }
     files = [
         "    <SourceFiles>",
-        *(f"      <File{_attributes({'name': f})}/>" for f in c_files),
+        *(f"      <File{attributes({'name': f})}/>" for f in c_files),
         "    </SourceFiles>",
     ]
     lines = [
         '<?xml version="1.0" encoding="UTF-8"?>',
         "<fmiModelDescription"
-        + _attributes(
+        + attributes(
             {
                 "fmiVersion": "2.0",
                 "modelName": block.name,
@@ -185,22 +184,22 @@ def _description(block: Block, guid: str, c_files: list[str]) -> str:
     ]
     if block.model_exchange:
         exchange = {**capabilities, "completedIntegratorStepNotNeeded": True}
-        lines += [f"  <ModelExchange{_attributes(exchange)}>", *files, "  </ModelExchange>"]
+        lines += [f"  <ModelExchange{attributes(exchange)}>", *files, "  </ModelExchange>"]
     co_simulation = {
         **capabilities,
         "canHandleVariableCommunicationStepSize": True,
         "canInterpolateInputs": True,
         "maxOutputDerivativeOrder": 1,
     }
-    lines += [f"  <CoSimulation{_attributes(co_simulation)}>", *files, "  </CoSimulation>"]
+    lines += [f"  <CoSimulation{attributes(co_simulation)}>", *files, "  </CoSimulation>"]
     lines += _units(block) + _types(block)
     lines.append("  <LogCategories>")
     lines += [
-        f"    <Category{_attributes({'name': k, 'description': d})}/>" for k, d in _LOG_CATEGORIES.items()
+        f"    <Category{attributes({'name': k, 'description': d})}/>" for k, d in _LOG_CATEGORIES.items()
     ]
     lines.append("  </LogCategories>")
     experiment = {"startTime": 0.0, "stopTime": block.stop_s, "tolerance": 1e-6, "stepSize": block.step_s}
-    lines.append(f"  <DefaultExperiment{_attributes(experiment)}/>")
+    lines.append(f"  <DefaultExperiment{attributes(experiment)}/>")
     lines += _variables(block) + _structure(block)
     lines.append("</fmiModelDescription>")
     return "\n".join(lines) + "\n"
@@ -212,9 +211,9 @@ def _units(block: Block) -> list[str]:
     for unit, (base, display) in SI_UNITS.items():
         if unit not in used:
             continue
-        lines.append(f"    <Unit{_attributes({'name': unit})}>")
-        lines.append(f"      <BaseUnit{_attributes(base)}/>")
-        lines += [f"      <DisplayUnit{_attributes({'name': n, 'factor': f})}/>" for n, f in display.items()]
+        lines.append(f"    <Unit{attributes({'name': unit})}>")
+        lines.append(f"      <BaseUnit{attributes(base)}/>")
+        lines += [f"      <DisplayUnit{attributes({'name': n, 'factor': f})}/>" for n, f in display.items()]
         lines.append("    </Unit>")
     return [*lines, "  </UnitDefinitions>"] if len(lines) > 1 else []
 
@@ -228,10 +227,10 @@ def _types(block: Block) -> list[str]:
         return []
     lines = ["  <TypeDefinitions>"]
     for name, enumeration in types.items():
-        lines.append(f"    <SimpleType{_attributes({'name': name})}>")
+        lines.append(f"    <SimpleType{attributes({'name': name})}>")
         lines.append("      <Enumeration>")
         lines += [
-            f"        <Item{_attributes({'name': item, 'value': value, 'description': text})}/>"
+            f"        <Item{attributes({'name': item, 'value': value, 'description': text})}/>"
             for item, value, text in enumeration.items
         ]
         lines += ["      </Enumeration>", "    </SimpleType>"]
@@ -256,8 +255,8 @@ def _variables(block: Block) -> list[str]:
         if v.derivative_of is not None:
             typed["derivative"] = index[v.derivative_of]
         lines.append(f"    <!-- {k} -->")
-        lines.append(f"    <ScalarVariable{_attributes(scalar)}>")
-        lines.append(f"      <{v.type}{_attributes(typed)}/>")
+        lines.append(f"    <ScalarVariable{attributes(scalar)}>")
+        lines.append(f"      <{v.type}{attributes(typed)}/>")
         lines.append("    </ScalarVariable>")
     return [*lines, "  </ModelVariables>"]
 
@@ -307,7 +306,7 @@ def _structure(block: Block) -> list[str]:
         depends = None
         if listed and v.depends_on is not None:
             depends = " ".join(str(k) for k in sorted({*(index[n] for n in v.depends_on), *extra}))
-        return f"      <Unknown{_attributes({'index': index[v.name], 'dependencies': depends})}/>"
+        return f"      <Unknown{attributes({'index': index[v.name], 'dependencies': depends})}/>"
 
     lines = ["  <ModelStructure>"]
     for heading, unknowns, extra in (
@@ -321,11 +320,23 @@ def _structure(block: Block) -> list[str]:
     return [*lines, "  </ModelStructure>"]
 
 
-def _attributes(values: Mapping[str, object]) -> str:
-    """XML attributes of the values that are not None."""
-    return "".join(
-        f" {name}={quoteattr(_text(value))}" for name, value in values.items() if value is not None
-    )
+_QUOTED = str.maketrans({"&": "&amp;", "<": "&lt;", ">": "&gt;", "\n": "&#10;", "\r": "&#13;", "\t": "&#9;"})
+
+
+def attributes(values: Mapping[str, object]) -> str:
+    """Return the XML attributes of the values that are not None, each after a space.
+
+    Quoted as `xml.sax.saxutils.quoteattr` does it, which loads what speaks to web servers, .04 s of a run.
+
+    >>> attributes({"name": "a<b", "unit": None, "start": 0.1, "fixed": True})
+    ' name="a&lt;b" start="0.1" fixed="true"'
+    """
+    return "".join(f" {name}={_quoted(_text(v))}" for name, v in values.items() if v is not None)
+
+
+def _quoted(text: str) -> str:
+    quoted = text.translate(_QUOTED)
+    return f"'{quoted}'" if '"' in text and "'" not in text else '"' + quoted.replace('"', "&quot;") + '"'
 
 
 def _text(value: object) -> str:

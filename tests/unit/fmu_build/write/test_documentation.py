@@ -7,10 +7,13 @@ import posixpath
 import re
 import zipfile
 from pathlib import Path
+from xml.sax.saxutils import quoteattr
 
 import pytest
 from fmu_blocks import blocks
 from fmu_runner import decay_block
+from hypothesis import given
+from hypothesis import strategies as st
 from lxml import etree
 
 from interarea.cosim.export.container import container_block
@@ -18,6 +21,7 @@ from interarea.cosim.scenario.scenario import load_scenario
 from interarea.design.controllers.bundled import shipped_controller
 from interarea.design.controllers.controller import Controller
 from interarea.fmu_build.write.compile import host_platform
+from interarea.fmu_build.write.description_xml import attributes
 from interarea.fmu_build.write.documentation import equations_of, ports_picture, references_in
 from interarea.fmu_build.write.package import build_fmu
 from interarea.models.blocks.plant import event_numbers, event_parameters, plant_block
@@ -133,3 +137,8 @@ def test_container_documents_its_members_and_connections(
     assert "<h2>controller: Equations</h2>" in page
     assert "2H  d slip/dt  = Tm - Te - D slip" in page
     assert two_area.hash in page
+
+
+@given(st.text(st.sampled_from("ab<>&\"'\n\r\té;#")))
+def test_attributes_are_quoted_as_the_standard_library_does_it(text: str) -> None:
+    assert attributes({"name": text}) == f" name={quoteattr(text)}"
