@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from interarea.design.robust.signal_worth import PAYS
 
 Row = Mapping[str, Any]
+SHOWN = 5e-4  #: of a damping ratio: what three digits after the point show
 
 
 def conclusion(rows: Sequence[Row]) -> list[str]:
@@ -82,17 +84,24 @@ def _controller(rows: Sequence[Row]) -> str:
     seen = [row for row in rows if row["controlled_stable"] is not None and row["worst_damping"] is not None]
     if not seen:
         return ""
-    worse = [_percent(row) for row in seen if not _helps(row)]
     grows = [_percent(row) for row in seen if row["stable"] and not row["controlled_stable"]]
     shorter = [_percent(row) for row in seen if _is_shorter(row)]
-    text = "the bundled controller damps the worst swing more at every share"
-    if worse:
-        text = f"the bundled controller leaves the worst swing less damped at {', '.join(worse)}"
+    text = f"with the bundled controller the worst swing is damped {_moved(seen)}"
     if grows:
-        text += f" and is unstable at {', '.join(grows)}"
+        text += f"; the loop is unstable at {', '.join(grows)}"
     if shorter:
         text += f"; the fault may last less with it at {', '.join(shorter)}"
     return text
+
+
+def _moved(rows: Sequence[Row]) -> str:
+    """Return at which shares the worst swing is damped more, the same and less."""
+    groups: dict[str, list[str]] = {"more": [], "the same": [], "less": []}
+    for row in rows:
+        gain = _gain(row)
+        groups["more" if gain > SHOWN else "the same" if gain >= -SHOWN else "less"].append(_percent(row))
+    where = {how: "every share" if len(at) == len(rows) else ", ".join(at) for how, at in groups.items()}
+    return "; ".join(f"{how} at {at}" for how, at in where.items() if at)
 
 
 def _is_shorter(row: Row) -> bool:
@@ -101,10 +110,12 @@ def _is_shorter(row: Row) -> bool:
     return None not in (without, controlled) and not controlled >= without
 
 
-def _helps(row: Row) -> bool:
-    """Whether a stable loop damps its worst swing no less; without a swing in the region it does."""
+def _gain(row: Row) -> float:
+    """Return by how much the worst swing is damped more: inf without a swing in the region, -inf unstable."""
+    if not row["controlled_stable"]:
+        return -math.inf
     with_it = row["controlled_worst_damping"]
-    return bool(row["controlled_stable"] and (with_it is None or with_it >= row["worst_damping"]))
+    return math.inf if with_it is None else float(with_it - row["worst_damping"])
 
 
 def _link(rows: Sequence[Row]) -> str:
