@@ -18,9 +18,8 @@ class Expectation(Table):
 
     #: whether the machines stay together and what is left of the disturbance falls
     stable: bool | None = None
-    synchronism: bool | None = (
-        None  #: whether no two machines or voltage sources of an island come half a turn apart
-    )
+    #: whether no two machines or voltage sources of an island come half a turn apart
+    synchronism: bool | None = None
     verdict: Verdict | None = None  #: what the run comes to
     damping_ratio: Mapping[str, tuple[float, float]] = {}  #: mode -> [least, most]
     settling_time_s: tuple[float, float] | None = None  #: [least, most]

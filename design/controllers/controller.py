@@ -79,6 +79,9 @@ class _SystemOnDemand:
             raise ControllerError(str(error)) from None
 
 
+_SYSTEM: Any = _SystemOnDemand()  #: Any: to its readers the field is a `StateSpace`
+
+
 @dataclass(frozen=True)
 class Controller:
     """A linear controller u = +K y with its provenance.
@@ -95,7 +98,7 @@ class Controller:
     """
 
     name: str
-    system: _SystemOnDemand = _SystemOnDemand()
+    system: control.StateSpace = _SYSTEM  # takes `LinearMatrices` too
     limit_pu: float = 0.15
     design: Mapping[str, Any] = field(default_factory=dict)
     certificate: Mapping[str, Any] | None = None
