@@ -88,9 +88,10 @@ def test_the_files_of_a_run_are_written_without_python_control(tmp_path: Path, c
         f"files = write_run({scenario!r}, Path({str(tmp_path)!r}))[1]; "
         "print(*sorted({f.suffix for f in files}), *{'control', 'scipy.signal', 'cvxpy'} & set(sys.modules))"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=300
-    )
+    for _ in range(2):  # the first may have to design the controller, which loads what it needs
+        done = subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=300
+        )
     assert (
         {".html", ".svg", ".csv"}
         <= {*done.stdout.split()}
