@@ -24,7 +24,7 @@ from ..master.isolated import participant_of
 from ..master.lockstep import advance_together
 from ..master.master import Master
 from ..results.judge import motion_of
-from ..results.largest_deviation import angles_of, judged_of
+from ..results.largest_deviation import angles_of, with_angles
 from ..results.ringdown import Swing, control_limit_pu
 from ..results.verdict import Verdict
 from ..run.instance import Fmus
@@ -108,7 +108,7 @@ class FaultRuns:
         self._library: GroupLibrary | None = None
         with suppress(BuildError):
             self._library = plant_group(plant_sources(case), cache=cache)
-        angles = {f"{name}_delta" for names in judged_of(case) for name in names}
+        angles = {f"{name}_delta" for name in with_angles(case)}
         names = [s.variable.name for s in shown_of(case)]
         #: input of a controller -> output of the plant, where a linear model has `_` for its dot
         self._dotted = {name.replace(".", "_"): name for name in names if "." in name}
@@ -153,10 +153,8 @@ class FaultRuns:
                 continue
             motion = motion_of(self.case, scenario, run.stop_s)
             speeds = np.array([data[f"plant.{name}_dw"] for name in motion.machines])
-            names = (*motion.machines, *motion.sources)
-            angles = np.array([data[f"plant.{name}_delta"] for name in names])
             controls = {name: data[name] for name in data.reals_of("controller")}
-            motion.add(data.time_s, speeds, angles, controls)
+            motion.add(data.time_s, speeds, angles_of(data, motion.names), controls)
             limit = None if run.controller is None else control_limit_pu(master)
             yield Outcome(angle, motion.verdict(limit, root)), data
 
@@ -182,8 +180,9 @@ class FaultRuns:
 
     def _largest_angle(self, run: GridRun, data: Trajectory) -> float:
         """Return the largest angle between two machines or sources, rad; inf where the run ended early."""
-        ended = bool(data.time_s[-1] >= run.stop_s - 1e-9)
-        return float(np.ptp(angles_of(data, self.case), axis=0).max()) if ended else float(np.inf)
+        if not data.time_s[-1] >= run.stop_s - 1e-9:
+            return float(np.inf)
+        return float(np.ptp(angles_of(data, with_angles(self.case)), axis=0).max())
 
     def _scenario(self, run: GridRun) -> Scenario:
         document = run.document() | ({"show": self._show} if self._show else {})

@@ -26,7 +26,7 @@ from interarea.models.case.write_toml import export_toml
 from interarea.models.files import temporary_folder
 from interarea.models.table import Table
 
-from ..results.largest_deviation import angles_of
+from ..results.largest_deviation import angles_of, with_angles
 from ..run.artefacts import plant_fmu
 from ..run.run import run_scenario
 from ..run.swing_signal import swing_of
@@ -196,7 +196,7 @@ def after_fault(
         }
         trajectory = run_scenario(document, cache=cache).trajectory
     data = trajectory.data
-    spread = float(np.ptp(angles_of(trajectory, case), axis=0).max())
+    spread = float(np.ptp(angles_of(trajectory, with_angles(case)), axis=0).max())
     swing = swing_of(case, cache)
     first = data[f"plant.{swing.ahead}_dw"]
     apart = (first - data[f"plant.{swing.behind}_dw"] if swing.behind else first).abs()

@@ -22,7 +22,7 @@ from interarea.models.case.case import Case
 from interarea.models.table import Table
 
 from ..errors import ScenarioError
-from ..results.largest_deviation import angles_of, judged_of
+from ..results.largest_deviation import angles_of, with_angles
 from ..run.artefacts import plant_fmu
 from ..trajectory import Trajectory
 from .acceptance import AcceptanceTable, FaultPlace, with_ceilings
@@ -207,8 +207,8 @@ def _pulsed(
 
 def _first_peak(case: Case, data: Trajectory, clear_s: float) -> tuple[float, tuple[str, str], float] | None:
     """Return when the largest angle first turns after the fault, whose angle it is, and degrees."""
-    time, names = data.time_s, [name for names in judged_of(case) for name in names]
-    angles = angles_of(data, case)
+    time, names = data.time_s, with_angles(case)
+    angles = angles_of(data, names)
     apart = np.ptp(angles, axis=0)
     after = np.flatnonzero(time > clear_s)[1:-1]
     turns = after[(apart[after] >= apart[after - 1]) & (apart[after] > apart[after + 1])]

@@ -18,7 +18,7 @@ from interarea.models.case.events import event_of, slot_count
 from interarea.models.errors import CaseError
 from interarea.models.grid.network import load_power
 
-from ..results.largest_deviation import judged_of, parts_of
+from ..results.largest_deviation import parts_of, with_angles
 from ..run.swing_signal import swing_of
 from ..scenario.channels import BernoulliLoss, GilbertElliottLoss
 from ..scenario.scenario import Scenario
@@ -63,7 +63,7 @@ def content_of(subject: Subject) -> dict[str, Any]:
     scenario, case = subject.scenario, subject.case
     poles = np.linalg.eigvals(subject.linear(subject.points[0]).A)
     wrong = _wrong(case, poles)
-    names = [name for some in judged_of(case) for name in some]
+    names = with_angles(case)
     return {
         "version": VERSION,
         "name": scenario.name,

@@ -88,7 +88,7 @@ class Judge:
     ) -> None:
         """Take what the verdict is judged by."""
         motion = self._motion
-        columns = [f"plant.{name}_delta" for name in (*motion.machines, *motion.sources)]
+        columns = [f"plant.{name}_delta" for name in motion.names]
         angles = None
         if all(column in part for column in columns):
             angles = np.array([self._joined(column, part[column]) for column in columns])

@@ -54,8 +54,8 @@ def largest_deviation_of(
     KeyError : the plant does not show the angles and speeds.
     """
     machines, sources = judged_of(case, events)
-    names = [*machines, *sources]
-    angles = np.array([trajectory[f"plant.{name}_delta"] for name in names])
+    names = (*machines, *sources)
+    angles = angles_of(trajectory, names)
     slips = np.array([trajectory[f"plant.{name}_dw"] for name in machines])
     buses = [f"bus{b.number}.v" for b in case.buses]
     seen = buses if f"plant.{buses[0]}" in trajectory else [f"{name}_vt" for name in machines]
@@ -98,7 +98,12 @@ def judged_of(case: Case, events: Iterable[Any] = ()) -> tuple[tuple[str, ...], 
     )
 
 
-def angles_of(trajectory: Trajectory, case: Case) -> Array:
-    """Return the angles of all machines and voltage sources, (their number, points), rad."""
+def with_angles(case: Case) -> tuple[str, ...]:
+    """Return the names of all machines and voltage sources."""
     machines, sources = judged_of(case)
-    return np.array([trajectory[f"plant.{name}_delta"] for name in (*machines, *sources)])
+    return (*machines, *sources)
+
+
+def angles_of(trajectory: Trajectory, names: Sequence[str]) -> Array:
+    """Return the angles of machines and voltage sources, (names, points), rad."""
+    return np.array([trajectory[f"plant.{name}_delta"] for name in names])

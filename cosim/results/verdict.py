@@ -190,6 +190,11 @@ class Motion:
         return self._made(name, why, *spans)
 
     @property
+    def names(self) -> tuple[str, ...]:
+        """Machines, then sources: the rows of angles."""
+        return (*self.machines, *self.sources)
+
+    @property
     def rule(self) -> str:
         """The rule in words, with what of it could not be applied."""
         if not self.unseen:
@@ -261,7 +266,7 @@ class Motion:
             angles = self._angle[:, None] + np.hstack([np.zeros((len(speeds), 1)), np.cumsum(steps, axis=1)])
             self._angle = angles[:, -1].copy()
             self.unseen = tuple(self.sources)
-        names = (*self.machines, *self.sources)
+        names = self.names
         for rows in self._machines if len(angles) < len(names) else self.islands:
             part = angles[rows]
             apart = np.degrees(np.ptp(part, axis=0))
