@@ -9,12 +9,16 @@ import shutil
 import sys
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 from locked import one_at_a_time
 
 import interarea.models.blocks.binary_table
 from interarea.fmu_build.write.cache import artefact, content_hash, default_cache
+from interarea.fmu_build.write.compile import compile_library, host_platform
+from interarea.fmu_build.write.sources import gather_sources, record_source
 from interarea.models.blocks.binary_table import pack_record
 from interarea.models.blocks.variables import Block
 from interarea.models.processes import run_guarded, side_by_side
@@ -120,6 +124,34 @@ def _version() -> str:
     return run_guarded([*compiler(), "--version"]).stdout
 
 
+#: functions of block.h and record.h that a shim calls
+_CALLED = (
+    "record_open",
+    *(f"block_{n}" for n in ("needs", "start", "derivatives", "outputs", "directional")),
+)
+_CALLED += ("block_next_event", "block_event")
+
+
+def _functions(sources: tuple[Path, ...], flags: tuple[str, ...]) -> Any:
+    """Return what has the C functions of a block as attributes.
+
+    Without `flags` they are those of the objects of which its FMU is linked, found by a table: they have no
+    names outside of their library.
+    """
+    if flags:
+        return ctypes.CDLL(str(compile_shared(sources, (*FLAGS, *flags))))
+    addresses = ", ".join(f"(Any){name}" for name in _CALLED)
+    shown = "__declspec(dllexport)" if sys.platform == "win32" else '__attribute__((visibility("default")))'
+    code = f'#include "block.h"\ntypedef void (*Any)(void);\n{shown} extern const Any shim_table[];\n'
+    code += f"const Any shim_table[] = {{ {addresses} }};\n"
+    files = gather_sources((*sources, record_source())) | {"shim.c": code.encode()}
+    library = ctypes.CDLL(str(compile_library("shim", files, host_platform())))
+    kind = ctypes.CFUNCTYPE(ctypes.c_int)
+    return SimpleNamespace(
+        **dict(zip(_CALLED, (kind * len(_CALLED)).in_dll(library, "shim_table"), strict=True))
+    )
+
+
 class BlockShim:
     """One instance of a block; arrays are numpy views that the C side shares."""
 
@@ -132,7 +164,7 @@ class BlockShim:
         flags: tuple[str, ...] = (),
     ) -> None:
         self.table = block.table
-        self._c = ctypes.CDLL(str(compile_shared(tuple(block.sources), (*FLAGS, *flags))))
+        self._c = _functions(tuple(block.sources), flags)
         self._c.block_next_event.restype = ctypes.c_double
         packed = pack_record(block.data)
         self._bytes = np.frombuffer(packed, dtype=np.uint8).copy()

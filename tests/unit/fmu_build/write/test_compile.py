@@ -9,7 +9,9 @@ import sys
 from pathlib import Path
 
 import pytest
+from fmu_blocks import blocks
 from fmu_runner import DECAY_C
+from plant_shim import FLAGS, compiler
 
 from interarea.cosim.explorer.wasm import page_sources
 from interarea.fmu_build.errors import BuildError, NoCompilerError
@@ -18,6 +20,7 @@ from interarea.fmu_build.write.cache import COMPILERS_OWN
 from interarea.fmu_build.write.compile import compile_binary
 from interarea.fmu_build.write.sources import fmi_headers, record_source, source_files, with_includes
 from interarea.models.case.case import load_case
+from interarea.models.processes import run_guarded
 
 
 class Elf:
@@ -191,3 +194,19 @@ def test_binaries_share_objects(binaries: Path, tmp_path: Path) -> None:
     compile_binary("other", (other,), "linux64", cache=binaries)
     made = {p.name.split("-")[0] for p in set((binaries / "objects").iterdir()) - before}
     assert made == {"other"}
+
+
+@pytest.mark.parametrize(
+    "kind", ["plant", "channel", "concentrator", "controller", "detector", "pmu", "supervisor"]
+)
+def test_the_compiler_of_this_machine_reads_an_fmus_sources_without_a_warning(
+    kind: str, tmp_path: Path
+) -> None:
+    """All else here is compiled by zig; `sources/` is for others."""
+    files = source_files((*blocks()[kind].sources, record_source()))
+    for name, content in files.items():
+        (tmp_path / name).write_bytes(content)
+    done = run_guarded(
+        [*compiler(), *FLAGS, "-fsyntax-only", "-I.", *(n for n in files if n.endswith(".c"))], cwd=tmp_path
+    )
+    assert (done.returncode, done.stderr) == (0, "")
