@@ -15,6 +15,7 @@ from interarea.fmu_build.write.cache import cached_json, code_hash, content_hash
 from interarea.models.case.case import Case
 
 from ..designs.acceptance import FaultPlace
+from ..designs.fault_loops import FaultLoops
 from ..designs.fault_runs import FaultRun, FaultRuns
 from ..designs.first_swing import after_clearing
 from ..grid_study.link_worth import AFAR, OWN, LinkDesigns, LoopTerms
@@ -27,6 +28,7 @@ CLEAR_MS = (200, 400, 600)  #: how long the faults at each place last
 #: from the controller of another latency too
 OWN_STARTS, STARTS, WARM_STARTS = 8, 2, 1
 _FAULT_S, _LOST_S, _STOP_S = 1.0, 1.5, 15.0
+_NONE = Controller("none", control.ss([], [], [], []))  #: the loop without control
 
 
 @dataclass(frozen=True)
@@ -136,9 +138,9 @@ class ActuatorCells:
             return controller
         while high - low > 1e-3:
             middle = 0.5 * (low + high)
-            within = self.designs.effort(_scaled(K, middle)) <= cap
+            within = self.designs.effort(controller.scaled(middle).system) <= cap
             low, high = (middle, high) if within else (low, middle)
-        return replace(controller, system=_scaled(K, low))
+        return controller.scaled(low)
 
     def _delay_margin(self, controller: Controller, signals: Sequence[str]) -> float | None:
         """Return the least latency (ms) of these signals together that is unstable at any operating point."""
@@ -151,7 +153,10 @@ class ActuatorCells:
     def _survived(
         self, controller: Controller | None, late: Mapping[str, float], losses: Sequence[str]
     ) -> list[int]:
-        """Return for each lost signal ("": none) how many faults of the family are survived."""
+        """Return for each lost signal ("": none) how many faults of the family are survived.
+
+        A run is as long as its linear loop asks for (`FaultRuns.outcomes_to_end`).
+        """
         if controller is not None and not controller.system.nstates:
             controller, late = None, {}
         losses = losses if controller is not None else losses[:1]
@@ -165,8 +170,14 @@ class ActuatorCells:
             runs = [
                 self._run(fault, ms, controller, late, lost) for lost in losses for fault, ms in self.family
             ]
+            loops = FaultLoops(self.case, controller or _NONE, self.cache)
+            ends = [
+                loops.end(fault.trip, (lost,) if lost else (), late)
+                for lost in losses
+                for fault, _ in self.family
+            ]
             with FaultRuns(self.case, self.cache) as there:
-                outcomes = there.outcomes(runs, [None] * len(runs))
+                outcomes, _ = there.outcomes_to_end(runs, ends, _LOST_S)
             each = len(self.family)
             return [
                 sum(o.synchronous and o.stable for o in outcomes[k * each : (k + 1) * each])
@@ -186,12 +197,6 @@ class ActuatorCells:
         clear_s = _FAULT_S + 1e-3 * clear_ms
         events = after_clearing(self.case, fault.bus, fault.trip, _FAULT_S, clear_s)
         return FaultRun(events, _STOP_S, controller, dict(late), {lost: _LOST_S} if lost else {})
-
-
-def _scaled(K: control.StateSpace, gain: float) -> control.StateSpace:
-    return control.ss(
-        K.A, K.B, gain * K.C, gain * K.D, inputs=list(K.input_labels), outputs=list(K.output_labels)
-    )
 
 
 def started_from(cells: Sequence[Cell], kind: str, latency_ms: int) -> Cell | None:

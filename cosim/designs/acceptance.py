@@ -12,7 +12,7 @@ fault the clearing time that is just survived is searched for both.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
@@ -25,7 +25,7 @@ from interarea.models.case.named_changes import load_kind
 from interarea.models.table import Table
 
 from ..errors import ScenarioError
-from .fault_loops import LONG_S, ControllerOrBank, FaultLoops, LoopEnd
+from .fault_loops import ControllerOrBank, FaultLoops, LoopEnd
 from .fault_runs import FaultRun, FaultRuns, Outcome, longest_kept
 from .first_swing import Positive, after_clearing
 
@@ -216,19 +216,12 @@ class Trial:
         largest_angles = self._runs.largest_angles([self._run(setting, n) for setting, n in cycles.items()])
         return dict(zip(cycles, largest_angles, strict=True))
 
-    def outcomes(self, ends: Mapping[Try, LoopEnd], *, least_s: float = 0.0) -> dict[Try, Outcome]:
-        """Return what each fault of `clear_cycles` came to, run as long as its linear loop asks for.
-
-        least_s : of every run.
-        """
+    def outcomes(self, ends: Mapping[Try, LoopEnd]) -> dict[Try, Outcome]:
+        """Return what each fault of `clear_cycles` came to, run as long as its linear loop asks for."""
         t = self.table
-        lengths = [max(end.run_s(t.stop_s, t.lost_s), least_s) for end in ends.values()]
-        self.longest_s = max([self.longest_s, *lengths])
-        runs = [
-            replace(self._run(each, t.clear_cycles), stop_s=stop_s)
-            for each, stop_s in zip(ends, lengths, strict=True)
-        ]
-        outcomes = self._runs.outcomes(runs, [end.root for end in ends.values()])
+        runs = [self._run(each, t.clear_cycles) for each in ends]
+        outcomes, longest_s = self._runs.outcomes_to_end(runs, list(ends.values()), t.lost_s)
+        self.longest_s = max(self.longest_s, longest_s)
         return dict(zip(ends, outcomes, strict=True))
 
     def kept(self, cycles: Mapping[Try, float]) -> dict[Try, bool]:
@@ -297,7 +290,7 @@ def judge_acceptance(
             ends = _ends(loops[point, loads], groups)
             if ceiling is None:  # the exciters' ceilings are no part of a linear loop
                 collected.take_loops(groups, ends)
-            collected.take_runs(groups, _outcomes(trial, ends))
+            collected.take_runs(groups, trial.outcomes(ends))
             if clearing:
                 rows += _clearing_rows(trial, groups)
             collected.longest_s = max(collected.longest_s, trial.longest_s)
@@ -389,13 +382,6 @@ def _ends(loops: FaultLoops, groups: Groups) -> dict[Try, LoopEnd]:
         for alone, settings in groups
         for s in (alone, *settings)
     }
-
-
-def _outcomes(trial: Trial, ends: Mapping[Try, LoopEnd]) -> dict[Try, Outcome]:
-    """Run every setting side by side; what stays together without decaying for a minute at least."""
-    outcomes = trial.outcomes(ends)
-    open_ended = {k: ends[k] for k, run in outcomes.items() if run.synchronous and not run.stable}
-    return outcomes | trial.outcomes(open_ended, least_s=LONG_S)
 
 
 def _clearing_rows(trial: Trial, groups: Sequence[tuple[Setting, list[Setting]]]) -> list[ClearingRow]:

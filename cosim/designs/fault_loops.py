@@ -8,7 +8,7 @@ taken, and told (`FaultLoops.unsolved`).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import log
 from pathlib import Path
@@ -31,6 +31,7 @@ from ..results.verdict import SETTLED_SHARE
 from .family import FamilyPlant
 
 ControllerOrBank: TypeAlias = Controller | ControllerBank
+_Late: TypeAlias = tuple[float, ...]  # s, of each signal of the controller
 SLOW = 0.05  #: 1/s: a loop whose slowest root decays less fast is run for `LONG_S` at least
 LONG_S, LONGEST_S = 60.0, 240.0  #: of such a run
 _LEFT = -2.5  # 1/s: roots left of it are slow for no run
@@ -71,17 +72,29 @@ class FaultLoops:
         self.case, self.controller, self._cache = case, controller, cache
         self._plants: dict[str | None, FamilyPlant] = {}
         self.unsolved: list[str] = []  #: branches without which no power flow is found
-        self._ends: dict[tuple[str | None, tuple[str, ...], float, bool], LoopEnd] = {}
+        self._ends: dict[tuple[str | None, tuple[str, ...], _Late, bool], LoopEnd] = {}
 
     def end(
-        self, trip: str | None, lost: Sequence[str] = (), latency_s: float = 0.0, *, controlled: bool = True
+        self,
+        trip: str | None,
+        lost: Sequence[str] = (),
+        latency_s: float | Mapping[str, float] = 0.0,
+        *,
+        controlled: bool = True,
     ) -> LoopEnd:
-        """Return the loop with branch `trip` out, these signals lost, the others late."""
+        """Return the loop with branch `trip` out, these signals lost, the others late.
+
+        latency_s : of every signal, or of each, 0 where it is not named.
+        """
         if trip is not None and not self.case.branch(trip).in_service:
             trip = None  # it is out already
-        key = (trip, tuple(lost), latency_s, controlled)
+        late = tuple(
+            latency_s.get(name, 0.0) if isinstance(latency_s, Mapping) else latency_s
+            for name in self.controller.inputs
+        )
+        key = (trip, tuple(lost), late, controlled)
         if key not in self._ends:
-            self._ends[key] = self._end(self._plant(trip), lost, latency_s, controlled)
+            self._ends[key] = self._end(self._plant(trip), lost, late, controlled)
         return self._ends[key]
 
     def _plant(self, trip: str | None) -> FamilyPlant:
@@ -97,12 +110,13 @@ class FaultLoops:
                 self._plants[trip] = self._plant(None)
         return self._plants[trip]
 
-    def _end(self, plant: FamilyPlant, lost: Sequence[str], latency_s: float, controlled: bool) -> LoopEnd:
+    def _end(self, plant: FamilyPlant, lost: Sequence[str], latency_s: _Late, controlled: bool) -> LoopEnd:
         K = self.controller.acting(lost) if isinstance(self.controller, ControllerBank) else self.controller
         system = K.system if controlled else K.scaled(0.0).system
         signals = [str(name) for name in system.input_labels]
         gone = tuple(name for name in signals if name in lost)
-        late = {name: latency_s for name in signals if name not in gone}
+        of_each = dict(zip(self.controller.inputs, latency_s, strict=True))
+        late = {name: of_each[name] for name in signals if name not in gone}
         if isinstance(plant.judged, LargePlant):
             facts = plant.judged.facts(system, Condition("after a fault", gone, late))
             return LoopEnd(facts.stable, complex(facts.rightmost))

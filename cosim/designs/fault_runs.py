@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
@@ -31,6 +31,7 @@ from ..run.instance import Fmus
 from ..run.run import system_of
 from ..scenario.scenario import Scenario, load_scenario
 from ..trajectory import Trajectory
+from .fault_loops import LONG_S, LoopEnd
 
 #: side by side at most; the processor's vectors take them in parts
 TOGETHER = 32
@@ -140,6 +141,27 @@ class FaultRuns:
         roots : rightmost of the linear loop in which each run ends, 1/s; None where it is not known.
         """
         return [outcome for outcome, _ in self.judged(runs, roots)]
+
+    def outcomes_to_end(
+        self, runs: Sequence[FaultRun], ends: Sequence[LoopEnd], since_s: float
+    ) -> tuple[list[Outcome], float]:
+        """Return what runs came to, each as long as its linear loop asks for, and the longest of them, s.
+
+        ends : the loop in which each run ends. since_s : when the last signal is lost. What keeps synchronism
+        without decaying is run for `LONG_S` at least.
+        """
+        lengths = [end.run_s(run.stop_s, since_s) for run, end in zip(runs, ends, strict=True)]
+        longer = [replace(run, stop_s=s) for run, s in zip(runs, lengths, strict=True)]
+        outcomes = self.outcomes(longer, [end.root for end in ends])
+        open_ended = [
+            k for k, o in enumerate(outcomes) if o.synchronous and not o.stable and lengths[k] < LONG_S
+        ]
+        again = self.outcomes(
+            [replace(runs[k], stop_s=LONG_S) for k in open_ended], [ends[k].root for k in open_ended]
+        )
+        for k, outcome in zip(open_ended, again, strict=True):
+            outcomes[k] = outcome
+        return outcomes, max([LONG_S] * bool(open_ended) + lengths, default=0.0)
 
     def judged(
         self, runs: Sequence[GridRun], roots: Sequence[complex | None]

@@ -18,6 +18,7 @@ from interarea.cosim.actuator_study.cells import ActuatorCells, Cell
 from interarea.cosim.actuator_study.installed import FULL_AT, SHARE, Installed, installed, ratings
 from interarea.cosim.actuator_study.study import FILES, actuator_rows, study_actuators
 from interarea.cosim.actuator_study.words import conclusion
+from interarea.cosim.designs.acceptance import FaultPlace
 from interarea.cosim.designs.design_tables import PointTable
 from interarea.cosim.designs.family import at_point
 from interarea.cosim.grid_study.choices import Choices
@@ -137,6 +138,19 @@ def test_a_rival_is_no_worse_than_remote_controllers_with_the_link_masked(
         assert made.own_again(compared["exciter"], own, [remote]).least == taken
     # a device's own signal is none of its remote ones: nothing to mask
     assert made.own_again(compared["lcc"], own, [remote]) is own
+
+
+@pytest.mark.parametrize(("pole", "survived"), [(-0.3, 1), (0.03, 0)])
+def test_a_fault_is_not_survived_where_the_loop_grows_later_than_the_run_shows(
+    case: Case, monkeypatch: pytest.MonkeyPatch, pole: float, survived: int
+) -> None:
+    # the signal hardly moves this state, and it hardly moves the device: nothing is seen of it in 15 s
+    hidden = control.ss([[pole]], [[1e-6]], [[1e-3]], [[0.0]], inputs=["G4_dw"], outputs=["svc1_v_mod"])
+    made = ActuatorCells.__new__(ActuatorCells)
+    monkeypatch.setattr(made, "case", case, raising=False)
+    monkeypatch.setattr(made, "cache", default_cache(), raising=False)
+    monkeypatch.setattr(made, "family", ((FaultPlace(bus=8), 200),), raising=False)
+    assert made._survived(Controller("hidden", hidden), {"G4_dw": 0.1}, ("",)) == [survived]
 
 
 @pytest.mark.parametrize(
