@@ -106,6 +106,13 @@ class ActuatorCells:
         again = self._judged(one, "own", 0, K, terms)
         return again if again.least > own.least else own
 
+    def remote_again(self, one: Installed, cell: Cell, others: Sequence[Cell]) -> Cell:
+        """Return a remote cell of the best controller: its own, or one designed for another latency."""
+        sees, terms = {one.actuator: one.sees[REMOTE]}, one.terms(REMOTE, STARTS)
+        candidates = [Controller.from_dict(each.controller) for each in (cell, *others)]
+        best = self.designs.best(sees, cell.latency_ms, candidates, terms)
+        return cell if best is candidates[0] else self._judged(one, REMOTE, cell.latency_ms, best, terms)
+
     def _judged(self, one: Installed, signals: str, latency_ms: int, K: Controller, terms: LoopTerms) -> Cell:
         sees = {one.actuator: one.sees[signals]}
         row = self.designs.row(OWN if signals == "own" else AFAR, sees, latency_ms, K, None, terms)

@@ -102,7 +102,7 @@ def study_actuators(
             near_to = started_from(cells, kind, ms) if signals == REMOTE else None
             cells.append(made.cell(compared[kind], signals, ms, near_to))
             _write(_with(study, cells), cells, out)
-        cells = _best_own(made, compared, cells)
+        cells = _best_of_all(made, compared, cells)
         report(STAGES[1], 1.0)
     report(STAGES[2], 0.0)
     result = _with(study, cells)
@@ -111,13 +111,19 @@ def study_actuators(
     return result
 
 
-def _best_own(made: ActuatorCells, compared: Mapping[str, Installed], cells: Sequence[Cell]) -> list[Cell]:
-    """Return the cells, those of own signals judged anew by what remote ones use of the same signals."""
+def _best_of_all(made: ActuatorCells, compared: Mapping[str, Installed], cells: Sequence[Cell]) -> list[Cell]:
+    """Return the cells, each judged anew by the best controller that was designed for any.
+
+    Own signals: by what remote controllers use of the same signals; remote ones: by those for other
+    latencies. A search may end better for another cell.
+    """
     remote = {kind: [c for c in cells if c.kind == kind and c.signals == REMOTE] for kind in compared}
-    return [
-        cell if cell.signals == REMOTE else made.own_again(compared[cell.kind], cell, remote[cell.kind])
-        for cell in cells
-    ]
+    again = []
+    for cell in cells:
+        one, others = compared[cell.kind], [c for c in remote[cell.kind] if c is not cell]
+        judged_again = made.remote_again if cell.signals == REMOTE else made.own_again
+        again.append(judged_again(one, cell, others))
+    return again
 
 
 def kinds_of(names: Sequence[str]) -> tuple[str, ...]:

@@ -112,7 +112,7 @@ class FaultLoops:
 
     def _end(self, plant: FamilyPlant, lost: Sequence[str], latency_s: _Late, controlled: bool) -> LoopEnd:
         K = self.controller.acting(lost) if isinstance(self.controller, ControllerBank) else self.controller
-        system = K.system if controlled else K.scaled(0.0).system
+        system = _remaining(K.system if controlled else K.scaled(0.0).system, plant)
         signals = [str(name) for name in system.input_labels]
         gone = tuple(name for name in signals if name in lost)
         of_each = dict(zip(self.controller.inputs, latency_s, strict=True))
@@ -121,6 +121,28 @@ class FaultLoops:
             facts = plant.judged.facts(system, Condition("after a fault", gone, late))
             return LoopEnd(facts.stable, complex(facts.rightmost))
         return _dense_end(plant.judged, system, gone, late)
+
+
+def _remaining(K: control.StateSpace, plant: FamilyPlant) -> control.StateSpace:
+    """Return `K` without the ports of a device that is out together with the branch."""
+    small = plant.small
+    inputs, outputs = list(K.input_labels), list(K.output_labels)
+    there = plant.blocks.inputs if small is None else small.input_labels
+    seen = inputs if small is None else small.output_labels
+    if all(name in there for name in outputs) and all(name in seen for name in inputs):
+        return K
+    rows = [k for k, name in enumerate(outputs) if name in there]
+    columns = [k for k, name in enumerate(inputs) if name in seen]
+    if not rows or not columns:
+        return control.ss([], [], [], [])
+    return control.ss(
+        K.A,
+        np.asarray(K.B)[:, columns],
+        np.asarray(K.C)[rows],
+        np.asarray(K.D)[np.ix_(rows, columns)],
+        inputs=[inputs[k] for k in columns],
+        outputs=[outputs[k] for k in rows],
+    )
 
 
 def _dense_end(

@@ -176,15 +176,27 @@ class LinkDesigns:
 
     def best_own(self, sees: Mapping[str, tuple[str, ...]], controllers: Sequence[Controller]) -> Controller:
         """Return the best controller of own signals alone: those of `controllers`, other signals masked."""
-        signals, now = _speeds(sees), [Condition("N")]
+        signals = _speeds(sees)
+        masked = [_of_signals(own_alone(one.system), signals) for one in controllers]
+        return self.best(sees, 0, [Controller("link", K, LIMIT_PU) for K in masked])
 
-        def made() -> dict[str, Any]:
-            systems = [_of_signals(own_alone(one.system), signals) for one in controllers]
-            best = max(systems, key=lambda K: _reached(self._judge(K, now)))
-            return Controller("link", best, LIMIT_PU).as_dict()
+    def best(
+        self,
+        sees: Mapping[str, tuple[str, ...]],
+        latency_ms: int,
+        controllers: Sequence[Controller],
+        terms: LoopTerms = LOOP_TERMS,
+    ) -> Controller:
+        """Return the one that reaches most with these signals so late; where several do, the first."""
+        conditions = _conditions(sees, latency_ms, terms.near)
+        known = [one.as_dict() for one in controllers]
+        key = content_hash(*self._of, dict(sees), latency_ms, list(terms.near), known)
 
-        key = content_hash(*self._of, dict(sees), [one.as_dict() for one in controllers])
-        return Controller.from_dict(cached_json(self.cache, "link-own", key, made))
+        def made() -> dict[str, int]:
+            reached = [_reached(self._judge(one.system, conditions)) for one in controllers]
+            return {"place": int(np.argmax(reached))}
+
+        return controllers[cached_json(self.cache, "link-best", key, made)["place"]]
 
     def row(
         self,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from .case import Case, CaseError
@@ -26,7 +26,7 @@ def operating_variant(
     ----------
     tie_flow_mw : active load moved from the first to the second load of `between` at unchanged dispatch, so
         that the tie carries about that much more; the slack takes the change of the losses.
-    out : names of branches out of service.
+    out : names of branches out of service; a series capacitor in one is out with it, as after its trip.
     load_scale : factor on P and Q of every load and on the P of every machine.
     vary : parameters changed by name, such as "inertia -20 %" (`named_changes`).
     between : names of the two loads; default: the largest load in the area where the tie begins and the
@@ -60,7 +60,9 @@ def operating_variant(
         case.branch(name)
         words.append(f"out-{re.sub('[^A-Za-z0-9_.-]+', '-', name)}")
     branches = {name: {"in_service": False} for name in out}
-    change: Mapping[str, Any] = {"loads": loads, "machines": machines, "branches": branches}
+    change: dict[str, Any] = {"loads": loads, "machines": machines, "branches": branches}
+    if capacitors := {row.name: "none" for row in case.tcscs if row.branch in out}:
+        change["tcscs"] = capacitors
     return with_named_changes(case.with_changes(change, name="-".join(words)), vary)
 
 

@@ -5,9 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import control
 import numpy as np
 import pytest
 
+import interarea as ia
 from interarea.cosim.designs.acceptance import (
     Acceptance,
     AcceptanceTable,
@@ -71,6 +73,23 @@ def test_loads_reach_every_load_and_replace_its_mix() -> None:
     ((alone, settings),) = settings_of(table, "base", None, ["G2_dw"], (1.0, 2.0))
     assert {setting.loads for setting in (alone, *settings)} == {(1.0, 2.0)}
     assert str(settings[0]) == "base, loads P ~ V^1, Q ~ V^2, fault at bus 8, 100 ms"
+
+
+@pytest.mark.parametrize("ports", [(["G4_dw"], ["G4_vs"]), (["G4_dw", "tcsc1_i"], ["G4_vs", "tcsc1_x_mod"])])
+def test_a_line_that_is_tripped_takes_its_series_capacitor_along(
+    ports: tuple[list[str], list[str]], cache: Path
+) -> None:
+    case = load_case("two-area-actuators")
+    inputs, outputs = ports
+    gains = 0.02 * np.eye(len(outputs), len(inputs))
+    K = control.ss([], [], [], gains, inputs=inputs, outputs=outputs)
+    root = FaultLoops(case, Controller("k", K), cache).end("7-8 a").root
+    document = {"branches": {"7-8 a": {"in_service": False}}, "tcscs": {"tcsc1": "none"}}
+    plant = ia.linearise(case.with_changes(document), speeds="rad/s")
+    sees, moves = plant.output_labels.index("G4_dw"), plant.input_labels.index("G4_vs")
+    closed = plant.A + 0.02 * np.outer(plant.B[:, moves], plant.C[sees])
+    roots = np.linalg.eigvals(closed)
+    assert root == pytest.approx(complex(roots[np.abs(roots) > 1e-6].real.max()), abs=1e-6)
 
 
 @pytest.mark.slow
