@@ -196,7 +196,8 @@ class LinkDesigns:
             reached = [_reached(self._judge(one.system, conditions)) for one in controllers]
             return {"place": int(np.argmax(reached))}
 
-        return controllers[cached_json(self.cache, "link-best", key, made)["place"]]
+        place = int(cached_json(self.cache, "link-best", key, made)["place"])
+        return controllers[place]
 
     def row(
         self,
