@@ -259,7 +259,7 @@ class Driver:
         held.write_text(HELD)
         header = folder / "devices.h"
         header.write_text(devices_header(self.models))
-        flags = ("-std=c99", "-O2", "-ffp-contract=off", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion")
+        flags = ("-std=c99", "-O0", "-ffp-contract=off", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion")
         tiles = (PLANT / "tile_4.c", PLANT / "tile_8.c")
         path = compile_shared((source, held, header, *tiles), (*flags, "-Werror", f"-I{PLANT}"))
         self.c = ctypes.CDLL(str(path))
