@@ -7,6 +7,7 @@ import re
 import subprocess
 import tomllib
 from collections.abc import Iterator
+from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from importlib.util import resolve_name
 from pathlib import Path
@@ -71,6 +72,11 @@ def _module(path: Path) -> str:
 MODULES = {_module(path): path for path in PYTHON}
 
 
+@cache
+def _tree(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
 def _imports(path: Path, *, late: bool = True, types: bool = True) -> set[str]:
     """Return the full names of our modules that a file imports; `late`: inside functions too.
 
@@ -79,7 +85,7 @@ def _imports(path: Path, *, late: bool = True, types: bool = True) -> set[str]:
     name = _module(path)
     package = name if path.name == "__init__.py" else name.rpartition(".")[0]
     collected: set[str] = set()
-    todo: list[ast.AST] = list(ast.parse(path.read_text(encoding="utf-8")).body)
+    todo: list[ast.AST] = list(_tree(path).body)
     while todo:
         node = todo.pop()
         if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test) and not types:
@@ -263,7 +269,7 @@ class _Branches(ast.NodeVisitor):
 @pytest.mark.parametrize("path", PYTHON, ids=_name)
 def test_functions_are_simple(path: Path) -> None:
     counted = _Branches()
-    counted.visit(ast.parse(path.read_text(encoding="utf-8")))
+    counted.visit(_tree(path))
     above = {name: number for name, number in counted.paths_of.items() if number > MOST_PATHS}
     assert not above, f"{_name(path)}: {above}, allowed are {MOST_PATHS} ways through a function; divide it"
 
