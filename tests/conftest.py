@@ -30,11 +30,16 @@ settings.load_profile("interarea")
 
 #: Files whose slow tests take longest, longest first: begun first, or a worker waits for another at the end.
 LONGEST = (
-    "docs/test_site.py",
-    "unit/cosim/study/test_study.py",
-    "platforms/test_wheel.py",
     "platforms/test_same_bits.py",
+    "docs/test_site.py",
+    "platforms/test_environments.py",
+    "unit/design/robust/test_grids_with_loops.py",
+    "unit/cosim/study/test_study.py",
+    "unit/cosim/grid_study/test_grid_page.py",
+    "platforms/test_wheel.py",
     "fuzz/test_fuzz.py",
+    "fuzz/test_group.py",
+    "unit/cosim/screen/test_wrong_study.py",
     "faults/test_signals.py",
     "fuzz/test_memory.py",
     "explorer/test_page_bits.py",
