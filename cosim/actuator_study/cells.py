@@ -38,7 +38,8 @@ class Cell:
     there, late, lost, worst_swing, clearing_cycles : as of `LinkRow`. worst_lost : the signal whose loss
     leaves least. effort_share : of the largest gain that it may have. delay_margin_ms : of its signals
     together, own wired ones apart; None: none up to 10 s. survived : of so many `faults` those after which
-    the grid keeps synchronism and the swing dies out; survived_lost : with the signal lost that leaves fewest.
+    the grid keeps synchronism and the swing dies out; survived_lost : with the signal lost that leaves
+    fewest.
     """
 
     kind: str
