@@ -38,11 +38,11 @@ lint: $(VENV)/installed-test
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 
-# mypy does not see through an editable install, so it checks a wheel's content.
+# mypy does not see through an editable install, so it checks a wheel's content. What it checked before stays in build/mypy.
 types: $(VENV)/installed-test
 	rm -rf build/typecheck && mkdir -p build/typecheck
 	$(BIN)/pip install --quiet --no-deps --target build/typecheck -C platforms=none .
-	cd build/typecheck && ../../$(BIN)/python -m mypy --config-file ../../pyproject.toml \
+	cd build/typecheck && ../../$(BIN)/python -m mypy --cache-dir ../mypy --config-file ../../pyproject.toml \
 	    -p interarea
 
 # The site, from disk: build/docs/index.html. A warning is an error.
