@@ -12,7 +12,7 @@ from .c_expression import ExpressionWriter
 from .language.device import KINDS
 from .language.element import Condition, Element, resolved
 from .language.elements import Integrator, Lag, Pi, Plain
-from .language.expression import ONE, ZERO, Node, number
+from .language.expression import ONE, ZERO, Node
 from .language.structure import Model, Order
 
 MOST_DECISIONS = 64
@@ -285,9 +285,10 @@ class Writer(ExpressionWriter):
                 return self.unless_frozen(e, f"({u} - x_{x}) * {per}")
             call = f"limiter_lag_rate(&l, {self.first[name]}u, {u}, x_{x}, low_{name}, high_{name})"
             return self.unless_frozen(e, f"{call} * {per}")
-        slowest = self.num(number(-1e30) if low is None else low)
-        fastest = self.num(number(1e30) if high is None else high)
-        rate = f"{self.deciding('clamp', 2)}({u} - x_{x}) * {per}, {slowest}, {fastest})"
+        bounds = ", ".join(self.num(bound) for bound in (low, high) if bound is not None)
+        which = "min" if low is None else "max" if high is None else "clamp"
+        call = self.deciding(which, 2 if which == "clamp" else 1)
+        rate = f"{call}({u} - x_{x}) * {per}, {bounds})"
         return self.held(e, self.unless_frozen(e, rate), x, per)
 
     def unless_frozen(self, e: Element, rate: str) -> str:

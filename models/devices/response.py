@@ -20,6 +20,7 @@ Array = npt.NDArray[np.float64]
 POINT = {"vt": 1.0, "vd": 0.6, "vq": 0.8, "id": 0.7, "iq": 0.5, "pe": 0.82, "slip": 0.0, "ifd": 1.9}
 POINT |= {"vc": 1.0, "vs": 0.0, "pm": 0.82, "efd": 1.8, "p_mod": 0.0, "q_mod": 0.0, "p": 0.4, "q": 0.1}
 POINT |= {"b": 0.1, "i": 0.1, "ip": 0.4, "vdr": 1.04, "vdi": 1.0, "idc": 1.0, "delta": 0.3}
+POINT |= {"vr": 0.8, "vi": 0.6}
 #: kind -> what is stepped and by how much
 STEPS = {
     "exciter": ("vref", 0.01),
@@ -116,6 +117,9 @@ def _step_response(rest: RestPoint, inputs: Mapping[str, float], stop_s: float) 
     times = np.linspace(0.0, stop_s, 201)
 
     def rates(_: float, x: Array) -> list[float]:
+        if device.kind == "converter":  # its powers are those of its currents
+            for power, current in (("p", "ip"), ("q", "iq")):
+                changed[power] = changed["vt"] * x[rest.instance.state_names.index(current)]
         return [float(rate) for rate in stepped.run(list(x), changed)[1]]
 
     states = np.tile(x0, (len(times), 1))

@@ -379,11 +379,13 @@ def _check_still(
             )
     for name, value, rate in zip(instance.state_names, states, rates, strict=True):
         if not abs(rate) <= STILL * max(1.0, abs(value)) * _stiffness(instance, name):
+            what = ""
             if name in walk.model.elements:
                 _check_gates(walk, name, who)
+                what = f"; change the parameters in {walk.model.elements[name].u} or the dispatch"
             raise DeviceError(
                 f"{who}: {name} does not stand still at rest: it is {value:.6g} and moves by "
-                f"{float(rate):.3g} a second"
+                f"{float(rate):.3g} a second{what}"
             )
 
 

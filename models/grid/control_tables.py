@@ -235,7 +235,7 @@ def controls_at_rest(
         {"vt": network, "vs": frozenset({f"{s.name}_{modulation(s.control.kind)}"})} for s in case.svcs
     ]
     inputs += [
-        dict.fromkeys(("vt", "p", "q"), network)
+        dict.fromkeys(("vt", "p", "q", "vr", "vi"), network)
         | {key: frozenset({f"{c.name}_{key}"}) for key in ("p_mod", "q_mod")}
         for c in case.converters
     ]
@@ -314,6 +314,7 @@ def rests_of(
         at = {"vt": bus.seen, "out": output}
         if kind in OF_CONVERTER:  # where plant/flow/flow.h has them
             at |= {"pe": given["p"], "ifd": given["q"]}
+            at |= {"vd": given.get("vr", 0.0), "vq": given.get("vi", 0.0)}
         elif kind == "hvdc":
             at |= {"pe": given["vdi"]}
         for key, value in at.items():

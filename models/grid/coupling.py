@@ -60,7 +60,11 @@ class BusPoint:
         if kind not in OF_CONVERTER:
             return {"vt": self.seen, "vs": 0.0}
         p, q = self.p / share, self.q / share
-        own = {"iq": q / self.own} if kind == "converter" else {"e": abs(self.source(share, impedance))}
+        if kind == "converter":
+            direction = cmath.rect(min(1.0, self.own / LOW_PU), self.angle)
+            own = {"iq": q / self.own, "vr": direction.real, "vi": direction.imag}
+        else:
+            own = {"e": abs(self.source(share, impedance))}
         return {"vt": self.seen, "p": p, "q": q, "p_mod": 0.0, "q_mod": 0.0, **own}
 
 
@@ -74,6 +78,7 @@ class Coupling:
     second: str = ""  #: state of the reactive current of a converter
     gain: tuple[float, float] = (-2.0, -1.0)  #: voltages between which its active current rises from 0
     taken: tuple[float, float, float] = (1e3, 0.0, -1e3)  #: voltage above which, how much, not below
+    direction: bool = False  #: whether a converter sees the direction of its voltage
     values: Mapping[str, float] = field(default_factory=dict)  #: of a dc link or source: those of its device
 
 
@@ -153,7 +158,8 @@ def coupling_of(instance: Instance) -> Coupling:
     if device.kind == "source":
         return Coupling(state, 1.0, 0.0, states[1], values=instance.values)
     if len(states) > 1:
-        return Coupling(state, 1.0, 0.0, states[1], *_port_numbers(instance))
+        seen = {name for line in device.lines for name in line.node.names}
+        return Coupling(state, 1.0, 0.0, states[1], *_port_numbers(instance), bool({"vr", "vi"} & seen))
     if state == device.output:
         return Coupling(state, 1.0, 0.0)
     node = next(line.node for line in device.lines if line.name == device.output)
@@ -207,7 +213,7 @@ def device_ports(
         elif c.second:
             level, slope, least = c.taken
             rows[-1] += [state_names.index(f"{svc.name}.{c.second}"), share * at_rest[c.second]]
-            rows[-1] += [*c.gain, level, share * slope, share * least]
+            rows[-1] += [*c.gain, level, share * slope, share * least, float(c.direction)]
         if not here:
             rows.append([k, 1.0, index[svc.seen_bus], state, 0.0, 0.0, NOTHING, 0.0, k + 1.0, LOW_PU])
     return rows

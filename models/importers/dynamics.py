@@ -31,13 +31,14 @@ from .report import Report
 MACHINE = "machine model"
 ROUNDED = 5e-4  #: pu by which X''d may stand above X'd in a file: both have so few digits
 #: machine models that are converters
-_CONVERTERS = "REGCA1 REGCB1 REGCC1 GDFORM REGFMA1 WT1G1 WT2G1 WT3G1 WT3G2 WT4G1 WT4G2 PVGU1"
+_CONVERTERS = "REGCA1 REGCB1 REGCC1 DERA1 GDFORM REGFMA1 WT1G1 WT2G1 WT3G1 WT3G2 WT4G1 WT4G2 PVGU1"
 CONVERTERS = frozenset(_CONVERTERS.split())
 
 CONVERTER = "converter"  #: kind of the devices of these
 SOURCE = "source"  #: kind of those that are a voltage behind ZR + jZX of the RAW file, one record each
 SVC = "svc"  #: kind of the devices of units that are SVCs
-#: of a converter: one record of each
+WHOLE = "DERA1"  #: a record that is a converter by itself
+#: of another converter: one record of each
 _PARTS = ((("REGCA1",), "is the converter itself"), (("REECB1", "REECA1"), "sets its currents"))
 _CURRENTS = "; --converters current takes converters as constant currents"
 
@@ -54,7 +55,6 @@ _UNDER = (
 )
 _WHY = {
     "PSSSIM": "a stabilizer of GridPACK, fed by the frequencies of other buses, which no vendor describes",
-    "DERA1": "many small converters that trip by voltage, frequency and time",
     **dict.fromkeys(("CMLDBLU1", "CMLDBLU2", "ACMTBLU1", "CIM5BL", "CIM6BL", "CLODBL"), _LOAD),
     **dict.fromkeys(("WTDTA1", "WTARA1", "WTPTA1", "WTTQA1"), _WIND),
     **dict.fromkeys(("MAXEX1", "MAXEX2", "OEL1B"), _OVER),
@@ -67,18 +67,8 @@ _WHY = {
 RELAYS = frozenset(
     {
         *("LDSHBL", "LVSHBL", "LDS3BL", "LVS3BL", "LDST", "UVLSBL", "VTGTPA", "VTGDCA", "FRQTPA", "FRQDCA"),
-        *(
-            "VTGTPAT",
-            "VTGDCAT",
-            "FRQTPAT",
-            "FRQDCAT",
-            "DISTR1",
-            "RXR1",
-            "CIROS1",
-            "SLNOS1",
-            "SLYPN1",
-            "SCGAP2",
-        ),
+        *("VTGTPAT", "VTGDCAT", "FRQTPAT", "FRQDCAT", "DISTR1"),
+        *("RXR1", "CIROS1", "SLNOS1", "SLYPN1", "SCGAP2"),
         *("TIOCR1", "TIOCRS", "DPDTR1", "BUSFREQ"),
     }
 )
@@ -270,11 +260,8 @@ class _Units:
             if kind is None:
                 continue
             place = next(at for (unit, _), at in self.seen.items() if unit == name)
-            for models, does in _PARTS if kind == CONVERTER else ():
-                seen = [model for model in models if (name, model) in self.seen]
-                if len(seen) != 1:
-                    has = f"no {' or '.join(models)}, which {does}" if not seen else f"{' and '.join(seen)}"
-                    raise CaseError(f"{place}: {name} has {has}, allowed: one{_CURRENTS}")
+            if kind == CONVERTER:
+                _check_parts(name, place, [model for unit, model in self.seen if unit == name])
             others = row.keys() - {kind}
             if others:
                 what = f"{sorted(others)[0]!r} beside a converter"
@@ -309,6 +296,19 @@ class _Units:
             self.constant[name] = exponent
             place = f"{self.path}: bus {bus}, {identity!r}"
             self.report.assume(f"unit without DYR record taken as {kind}", place)
+
+
+def _check_parts(name: str, place: str, records: Collection[str]) -> None:
+    """Check that the records of a converter that is no voltage source make up one."""
+    if WHOLE in records:
+        for beside in sorted({*records} - {WHOLE}):
+            raise CaseError(f"{place}: {name} has {WHOLE} and {beside}, allowed: {WHOLE} alone")
+        return
+    for models, does in _PARTS:
+        seen = [model for model in models if model in records]
+        if len(seen) != 1:
+            has = f"no {' or '.join(models)}, which {does}" if not seen else f"{' and '.join(seen)}"
+            raise CaseError(f"{place}: {name} has {has}, allowed: one{_CURRENTS}")
 
 
 def _without_controls(rows: Mapping[str, Mapping[str, Any]]) -> list[str]:

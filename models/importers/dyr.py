@@ -22,6 +22,7 @@ PLAIN = {
     "REECBU1": "REECB1",
     "REPCAU1": "REPCA1",
     "REPCTA1": "REPCA1",
+    "DERAU1": "DERA1",
     "WTDTAU1": "WTDTA1",
     "WTARAU1": "WTARA1",
     "WTPTAU1": "WTPTA1",

@@ -64,6 +64,8 @@ KINDS: dict[str, Kind] = {
             "q": "reactive power into the network, pu of its base",
             "p_mod": "modulation of the active power, pu of its base",
             "q_mod": "modulation where the reactive reference is added, pu of its base",
+            "vr": "direction of its voltage in the synchronous frame, real part; below .1 pu less than 1",
+            "vi": "direction of its voltage in the synchronous frame, imaginary part",
         },
         "ip",
         ("pref", "qref"),

@@ -32,6 +32,7 @@ typedef struct {
     cell *vc, *vs, *pm, *efd, *b, *i, *ip, *idc, *delta; /* what devices give               */
     const cell *p, *q, *p_mod, *q_mod; /* of a converter: in the arrays of pe, ifd, vs, vc    */
     const cell *vdr, *vdi; /* of a dc link: in the arrays of vt, pe                           */
+    const cell *vr, *vi;   /* of a converter: in the arrays of vd, vq                         */
 } DeviceSignals;
 
 /* Limiters, gates and other slope discontinuities decide by comparing signals: decision i of a device is bit i of

@@ -22,7 +22,7 @@ PLANT = Path(__import__("interarea.models").models.__file__).parent / "c" / "pla
 #: one operating point of a machine; the phasors fit vt, and pe = vd id + vq iq
 SEEN = {"vt": 1.0, "vd": 0.6, "vq": 0.8, "id": 0.7, "iq": 0.5, "pe": 0.82, "slip": 0.0, "ifd": 1.9}
 SEEN |= {"vc": 1.0, "vs": 0.0, "pm": 0.82, "p": 0.4, "q": 0.1, "p_mod": 0.0, "q_mod": 0.0}
-SEEN |= {"vdr": 1.04, "vdi": 1.0}
+SEEN |= {"vdr": 1.04, "vdi": 1.0, "vr": 0.8, "vi": 0.6}
 OUTPUT = {
     "exciter": 1.8,
     "governor": 0.82,
@@ -43,6 +43,8 @@ RECORDS = {
     "REPCA1": "0 0 0 0 0 0 1 0.02 18 5 0 0.05 0.7 0 0 0.02 0.1 -0.1 -0.01 0.01 0.43 -0.43 1 0.05 0.25 0 0 "
     "9 -9 1 0 0.1 0 0",
     "REGFMA1": "1 1 0.01 0.01 0.01 2 1.15 0 0.9 0 0.44 -0.44 0.01 0.05 0.01 0.1 3 20 0 5.86",
+    "DERA1": "1 1 0 1 1 1 0.02 0.05 -0.05 0.05 2 0 0.02 0.02 20 5 -0.0006 0.0006 0.1 -0.1 1.1 0 0.5 -0.5 "
+    "0.02 0.1 10 1.2 0.44 0.49 1.2 1.15 0.16 0.2 0.16 0.3 0.7 59.3 60.5 0.16 0.2 0.02 2 0.02 0.8 1 -1",
     "CSVGN1": "0 20 0 1 0.15 1 0.005 0 1 0 60",
     "SEXS": "0.1 10 100 0.05 -5 5",
     "SCRX": "0.1 10 100 0.05 -5 5 0 10",
@@ -245,6 +247,7 @@ double hold(size_t device, size_t n, uint64_t has, double *table, const double *
 MEMBERS = (
     *("vt", "vd", "vq", "id", "iq", "pe", "slip", "ifd", "pref_step", "vc", "vs", "pm", "efd"),
     *("b", "i", "ip", "idc", "delta", "p", "q", "p_mod", "q_mod", "vdr", "vdi"),
+    *("vr", "vi"),
 )
 
 
