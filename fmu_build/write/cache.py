@@ -90,10 +90,8 @@ def code_hash(module: str) -> str:
     todo = [module]
     while todo:
         name = todo.pop()
-        path = _source_file(name)
-        if path is not None and name not in sources:
-            sources[name] = path.read_bytes()
-            package = name if path.name == "__init__.py" else name.rpartition(".")[0]
+        if name not in sources and (source := _source(name)) is not None:
+            package, sources[name] = source
             todo += _imports(package, sources[name])
     if module not in sources:
         raise ValueError(f"{module!r} is no module of this package")
@@ -102,13 +100,20 @@ def code_hash(module: str) -> str:
     return content_hash(*parts, *([device_hash()] if devices else []))
 
 
-def _source_file(name: str) -> Path | None:
+@forever
+def _source(name: str) -> tuple[str, bytes] | None:
+    """Return the package of a module and its bytes, read once for all keys; None where there is none."""
     first, *parts = name.split(".")
     if first != "interarea" or not parts:
         return None
     path = ROOMS.joinpath(*parts)
-    files = (path.with_name(f"{path.name}.py"), path / "__init__.py")
-    return next((file for file in files if file.is_file()), None)
+    for package, file in (
+        (name.rpartition(".")[0], path.with_name(f"{path.name}.py")),
+        (name, path / "__init__.py"),
+    ):
+        if file.is_file():
+            return package, file.read_bytes()
+    return None
 
 
 @forever

@@ -68,6 +68,7 @@ def test_a_key_follows_the_device_files(tmp_path: Path, monkeypatch: pytest.Monk
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(text, encoding="utf-8")
     monkeypatch.setattr(store, "ROOMS", tmp_path)
+    monkeypatch.setattr(store, "_source", store._source.__wrapped__)
     monkeypatch.setattr(store, "source_hash", store.source_hash.__wrapped__)
     fresh, names = code_hash.__wrapped__, ("interarea.design.start", "interarea.design.beside")
     before = [fresh(name) for name in names]
@@ -90,6 +91,7 @@ def test_a_key_follows_every_form_of_import(tmp_path: Path, monkeypatch: pytest.
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(text, encoding="utf-8")
     monkeypatch.setattr(store, "ROOMS", tmp_path)
+    monkeypatch.setattr(store, "_source", store._source.__wrapped__)
     fresh = code_hash.__wrapped__
     before = fresh("interarea.design.start")
     for name, text in files.items():
