@@ -6,6 +6,7 @@ import hashlib
 import json
 import platform
 import subprocess
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -41,7 +42,7 @@ def record_of(scenario: Scenario, case: Case | None) -> dict[str, Any]:
         "seeds": {n: line.seed for n, line in scenario.lines.items() if line.random},
         "versions": {"interarea": product_version(), "python": platform.python_version()}
         | numerics_versions(),
-        "commit": {"interarea": _commit(_PACKAGE), "scenario": _commit(scenario.folder)},
+        "commit": _commits(scenario.folder),
     }
 
 
@@ -54,16 +55,27 @@ def scenario_text(scenario: Scenario) -> str:
     return "\n".join(lines) + "\n" + toml_text(resolved_document(scenario))
 
 
-def write_record(folder: Path, scenario: Scenario, case: Case | None) -> list[Path]:
-    """Write scenario.toml and run.json into a folder; return them."""
+def write_record(folder: Path, scenario: Scenario, record: Mapping[str, Any]) -> list[Path]:
+    """Write scenario.toml and run.json, which holds the record of `record_of`, into a folder; return them."""
     files = [folder / "scenario.toml", folder / "run.json"]
     write_whole(files[0], scenario_text(scenario))
-    write_json(record_of(scenario, case), files[1])
+    write_json(record, files[1])
     return files
 
 
 def _sha256(file: Path) -> str:
     return hashlib.sha256(file.read_bytes()).hexdigest()
+
+
+def _commits(folder: Path) -> dict[str, str | None]:
+    """Return the commits of the package and of a scenario's folder, which may be a checkout inside it."""
+    own, folder = _commit(_PACKAGE), folder.resolve()
+    inside = folder.is_relative_to(_PACKAGE)
+    between = [
+        p for p in (folder, *folder.parents) if inside and p.is_relative_to(_PACKAGE) and p != _PACKAGE
+    ]
+    same = inside and not any((p / ".git").exists() for p in between)
+    return {"interarea": own, "scenario": own if same else _commit(folder)}
 
 
 def _commit(folder: Path) -> str | None:

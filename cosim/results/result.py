@@ -5,8 +5,9 @@ from __future__ import annotations
 import html
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +16,7 @@ from interarea.models.files import together, write_whole
 
 from ..trajectory import Trajectory
 from .delay_ledger import DelayLedger, PacketLedger
-from .record import write_json, write_record
+from .record import record_of, write_json, write_record
 from .trajectory_files import TrajectoryFiles
 
 if TYPE_CHECKING:
@@ -57,6 +58,11 @@ class Result:
         """Return one column as an array; the error names the columns there are."""
         return self.trajectory[column]
 
+    @cached_property
+    def made_from(self) -> dict[str, Any]:
+        """What the numbers depend on, as run.json has it (`record_of`); empty without a scenario."""
+        return {} if self.scenario is None else record_of(self.scenario, getattr(self, "case", None))
+
     def to_frame(self) -> pd.DataFrame:
         """Return the signals over time: index ``time_s``, columns ``INSTANCE.VARIABLE``."""
         return self.data.set_index("time_s")
@@ -97,7 +103,7 @@ class Result:
         else:
             log.unlink(missing_ok=True)  # that of an earlier run
         if self.scenario is not None:
-            files += write_record(folder, self.scenario, getattr(self, "case", None))
+            files += write_record(folder, self.scenario, self.made_from)
         return files
 
     def _repr_html_(self) -> str:

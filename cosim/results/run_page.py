@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from ..plots.html import page_environment, page_figure
-from .record import record_of, scenario_text
+from .record import scenario_text
 from .run_figure import Ran
 
 if TYPE_CHECKING:
@@ -20,6 +20,8 @@ class Reported(Ran, Protocol):
 
     @property
     def metrics(self) -> Metrics: ...
+    @property
+    def made_from(self) -> dict[str, Any]: ...
 
 
 #: metric -> its words and unit, in the order of the page
@@ -55,7 +57,7 @@ def run_page(run: Reported, drawn: Figure, explorer: str = "") -> str:
             numbers=numbers,
             stop_s=float(run.trajectory.time_s[-1]),
             figure=page_figure(drawn, "run", run.summary),
-            record=record_of(run.scenario, run.case),
+            record=run.made_from,
             scenario=scenario_text(run.scenario),
             explorer=explorer,
         )
