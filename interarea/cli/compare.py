@@ -47,6 +47,9 @@ def compare(
 
     loaded = load_scenario(scenario)
     # a mistake in the file is reported before what runs it is loaded
+    from interarea.cosim.plots.loading import load_plots
+
+    load_plots()
     from interarea.cosim.run.compare import compared_name
     from interarea.simulation import compare as compare_runs
 

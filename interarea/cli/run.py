@@ -150,6 +150,9 @@ def _written(
 
     explorer : the page beside it that the report links.
     """
+    from interarea.cosim.plots.loading import load_plots
+
+    load_plots()
     from interarea.cosim.results.run import Run
     from interarea.cosim.run.run import write_run
     from interarea.fmu_build.write.cache import default_cache

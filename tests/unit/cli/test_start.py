@@ -136,6 +136,21 @@ def test_a_plain_run_loads_what_it_needs(tmp_path: Path) -> None:
     assert not {"scipy.optimize", "scipy.integrate", "ziglang", "lxml", "xmlschema"} & modules
 
 
+def test_figures_are_loaded_without_the_help_on_their_properties() -> None:
+    """Of the properties that `Axes.plot` names in its docstring; what lists them is put back."""
+    code = (
+        "from interarea.cosim.plots.loading import load_plots\n{}"
+        "from matplotlib import artist, axes, lines\n"
+        "print('antialiased' in axes.Axes.plot.__doc__, "
+        "'antialiased' in artist.kwdoc(lines.Line2D))"
+    )
+    for call, shown in (("load_plots()\n", "False"), ("", "True")):
+        done = subprocess.run(
+            [sys.executable, "-c", code.format(call)], capture_output=True, text=True, check=True
+        )
+        assert done.stdout.split() == [shown, "True"]
+
+
 def _output(*arguments: str, **environment: str) -> str:
     done = subprocess.run(
         [sys.executable, "-m", "interarea", *arguments],
