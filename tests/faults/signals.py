@@ -5,7 +5,7 @@
 Every command that starts a process, and `compare`, which spends its time in an FMU's callbacks, gets SIGINT,
 SIGTERM, SIGHUP and SIGKILL, sent to its own process alone. Five seconds later no process may live that it has
 started; its temporary folder is empty (after SIGKILL: once the next command has run); every file under its
-name is whole. `study`, `build`, `ssp` and `dll` begin with an empty cache, so that compilers run. Of a
+name is whole. Those of `EMPTY_CACHE` begin with an empty cache, so that compilers run. Of a
 process that lives on it says how much processor time it had since, which is little on a busy machine, and
 where it is.
 """
@@ -54,14 +54,24 @@ COMMANDS = {
     "dll": "build two-area-thesis --controller robust --dll linux64,win64 --out {out}",
     "grid": "study two-area-thesis --minutes 1 --out {out}",
     "check": "check {files}/two-area-thesis.fmu",
+    "modes": "modes two-area-thesis",
+    "loops": "loops two-area-thesis",
+    "certify": "certify robust",
+    "design": "design robust --out {out}/robust.json",
+    "screen": "screen two-area-thesis --workers 2 --out {out}",
+    "maps": "maps {files}/swept --workers 2 --out {out}/maps.html",
+    "fetch": "import npcc --out {out}/npcc.toml",
 }
-EMPTY_CACHE = {"study", "build", "ssp", "dll"}
+EMPTY_CACHE = {"study", "build", "ssp", "dll", "modes", "loops", "certify", "design"}
+FROM_REGISTRY = {"fetch"}  #: commands that ask the package registry
 LONGEST_S = {
     "study": 40.0,
     "build": 20.0,
     "ssp": 20.0,
     "dll": 20.0,
     "grid": 20.0,
+    "certify": 20.0,
+    "design": 40.0,
 }  # of the wait before the signal; others 6 s
 
 _SWEEP = """
@@ -95,6 +105,9 @@ def prepare(files: Path) -> None:
         table = f'[fmus.own]\nfile = "{fmu.as_posix()}"\n{more}start = {{ u = 1.0 }}\n'
         (files / f"{name}.toml").write_text(f"stop_s = 2e4\nstep_s = 0.05\n{table}", encoding="utf-8")
     (files / "sweep.toml").write_text(_SWEEP, encoding="utf-8")
+    (files / "few.toml").write_text(_SWEEP.replace("2000", "4"), encoding="utf-8")
+    few = ["sweep", str(files / "few.toml"), "--out", str(files / "swept")]
+    subprocess.run(_command(few), check=True, capture_output=True)
     subprocess.run(_command(["build", "two-area-thesis", "--out", str(files)]), check=True)
     subprocess.run(
         _command(COMMANDS["compare"].format(out=files / "compared").split()), check=True, capture_output=True

@@ -82,6 +82,19 @@ def test_its_own_dynamic_data_and_a_file_of_that_name_come_first(wheel, tmp_path
         import_grid("npcc")
 
 
+def test_what_pip_leaves_when_it_is_killed_goes_with_the_folder(tmp_path, monkeypatch):
+    own = []
+
+    def killed(command, env, timeout_s):
+        own.append([Path(env[name]) for name in ("TMPDIR", "TEMP", "TMP")])
+        return subprocess.CompletedProcess(command, -9, "", "killed\n")
+
+    monkeypatch.setattr(module, "run_guarded", killed)
+    with pytest.raises(CaseError, match="pip does not get it: killed"):
+        module.fetched(module.ANDES, tmp_path)
+    assert own == [[tmp_path / "pip"] * 3] and own[0][0].is_dir()
+
+
 def test_a_registry_that_does_not_answer_is_one_line(tmp_path, monkeypatch):
     refused = subprocess.CompletedProcess([], 1, "", "WARNING: retrying\nERROR: No matching distribution\n")
     monkeypatch.setattr(module, "run_guarded", lambda *_, **__: refused)
