@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from .certificates.wrong_study import OPTIONS, Asked, study_wrong
+from .certificates.wrong_study import STUDY as WRONG_SIGNALS
 from .terminal import note, stage_progress
 
 if TYPE_CHECKING:
@@ -21,6 +23,21 @@ _FILES = (
     *("study.json", "report.html", "explorer.html", "case.toml", "controller.json", "local.json"),
     *("design.toml", "fmus/plant.fmu", "fmus/controller.fmu"),
 )
+_LEAVE_OUT = "leave it out"
+_FIRST = "import the grid first, then --grid CASE.toml"
+#: option -> the studies that take it, and what to do with another
+_TAKERS = {
+    "--mva": (("actuators",), _LEAVE_OUT),
+    "--actuator": (("actuators",), _LEAVE_OUT),
+    "--grid": (("worth", "inverters", "actuators"), "name one grid alone"),
+    **dict.fromkeys(OPTIONS, ((WRONG_SIGNALS,), _LEAVE_OUT)),
+}
+#: option -> the studies that do not take it, and what to do
+_REFUSED = {
+    "--dyr": {"worth": _FIRST, "inverters": _FIRST, "actuators": _FIRST}
+    | {WRONG_SIGNALS: _LEAVE_OUT, "thesis": _LEAVE_OUT},
+    "--minutes": {WRONG_SIGNALS: _LEAVE_OUT, "thesis": _LEAVE_OUT},
+}
 Minutes = Annotated[
     float | None,
     typer.Option(
@@ -96,21 +113,20 @@ def study(
     The study `actuators` says of one grid which kind of actuator damps it best: actuators.html.
     The study `wrong-signals` runs controllers with each kind of wrong signal: wrong_signals.html.
     """
-    from .certificates.wrong_study import Asked, study_wrong
     from .destination import folder_for
     from .grids import grid_of
 
-    _check_options(name, grid, actuator, mva)
     asked = Asked(controller or [], kind or [], disturbance or [], one_point)
-    asked.check(name)
+    words = {"--mva": mva, "--actuator": actuator, "--grid": grid, "--dyr": dyr, "--minutes": minutes}
+    _check_options(name, [*_as_typed(words), *((typed.split()[0], typed) for typed in asked.options)])
     if name == "actuators":
-        _study_actuators(out, dyr, minutes, grid or [], actuator or [], mva, json_=json_)
+        _study_actuators(out, minutes, grid or [], actuator or [], mva, json_=json_)
         return
     if name in ("worth", "inverters"):
-        _study_several(name, out, dyr, minutes, grid or [], json_=json_)
+        _study_several(name, out, minutes, grid or [], json_=json_)
         return
-    if name == "wrong-signals":
-        _refuse_options(name, {"--dyr": dyr, "--minutes": minutes})
+    if name == WRONG_SIGNALS:
+        asked.check_names()
         _show_study(*study_wrong(out, asked), json_=json_)
         return
     folder_for(out, files=_FILES)
@@ -122,21 +138,14 @@ def study(
     _run_study(name, out, second_solver=second_solver, json_=json_)
 
 
-def _study_several(
-    name: str, out: Path, dyr: Path | None, minutes: float | None, grids: list[str], *, json_: bool
-) -> None:
+def _study_several(name: str, out: Path, minutes: float | None, grids: list[str], *, json_: bool) -> None:
     """Run the study `worth` or `inverters` of named grids."""
     from interarea.cosim.grid_study import link_study
     from interarea.cosim.inverter_study import study as inverter_study
     from interarea.fmu_build.write.cache import default_cache
-    from interarea.models.errors import UserError
 
     from .destination import folder_for
 
-    if dyr is not None:
-        raise UserError(
-            f"--dyr {dyr}: not with the study {name}; import the grid first, then --grid CASE.toml"
-        )
     of = link_study if name == "worth" else inverter_study
     run = link_study.study_links if name == "worth" else inverter_study.study_inverters
     folder_for(out, files=of.FILES)
@@ -157,7 +166,6 @@ def _study_several(
 
 def _study_actuators(
     out: Path,
-    dyr: Path | None,
     minutes: float | None,
     grids: list[str],
     kinds: list[str],
@@ -178,10 +186,6 @@ def _study_actuators(
 
     from .destination import folder_for
 
-    if dyr is not None:
-        raise UserError(
-            f"--dyr {dyr}: not with the study actuators; import the grid first, then --grid CASE.toml"
-        )
     if len(grids) > 1:
         raise UserError(f"--grid {grids[1]}: the study actuators takes one grid; leave it out")
     if mva is not None and not 0.0 < mva < float("inf"):
@@ -209,32 +213,30 @@ def _study_actuators(
     _show_study(summary, out, FILES, result["conclusion"], json_=json_)
 
 
-def _check_options(
-    name: str,
-    grid: list[str] | None,
-    actuator: list[str] | None,
-    mva: float | None,
-) -> None:
-    """Refuse an option of one bundled study that is given to another."""
+def _as_typed(given: Mapping[str, object]) -> Iterator[tuple[str, str]]:
+    """Yield each option that is given, and it as it is typed; a number is left out."""
+    for option, value in given.items():
+        for word in value if isinstance(value, list) else [value]:
+            if word is not None:
+                yield option, option if isinstance(word, float) else f"{option} {word}"
+
+
+def _check_options(study: str, given: Iterable[tuple[str, str]]) -> None:
+    """Refuse an option of one study that is given to another. given : option, and it as it is typed.
+
+    Raises
+    ------
+    UserError : the first of them.
+    """
     from interarea.models.errors import UserError
 
-    if name != "actuators" and (actuator or mva is not None):
-        option = "--mva" if mva is not None else f"--actuator {(actuator or [''])[0]}"
-        raise UserError(f"{option}: goes with the study actuators, not with {name}; leave it out")
-    if grid and name not in ("worth", "inverters", "actuators"):
-        raise UserError(
-            f"--grid {grid[0]}: goes with the study worth, inverters or actuators, not with {name}; name one "
-            "grid alone"
-        )
-
-
-def _refuse_options(name: str, options: Mapping[str, object]) -> None:
-    """Refuse an option that a bundled study does not take."""
-    from interarea.models.errors import UserError
-
-    for option, value in options.items():
-        if value:
-            raise UserError(f"{option}: not with the study {name}; leave it out")
+    for option, typed in given:
+        takers, remedy = _TAKERS.get(option, ((), _LEAVE_OUT))
+        if takers and study not in takers:
+            allowed = " or ".join(part for part in (", ".join(takers[:-1]), takers[-1]) if part)
+            raise UserError(f"{typed}: goes with the study {allowed}, not with {study}; {remedy}")
+        if study in (refused := _REFUSED.get(option, {})):
+            raise UserError(f"{typed}: not with the study {study}; {refused[study]}")
 
 
 def _named_grid(name: str) -> Case:

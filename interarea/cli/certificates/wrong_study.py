@@ -10,6 +10,7 @@ from typing import Any
 from ..terminal import busy, stage_progress
 
 STUDY = "wrong-signals"
+OPTIONS = ("--controller", "--kind", "--disturbance", "--one-point")  #: that only this study takes
 
 
 @dataclass(frozen=True)
@@ -30,18 +31,10 @@ class Asked:
         if self.one_point:
             yield "--one-point"
 
-    def check(self, study: str) -> None:
-        """Refuse them for another study, and names that are none.
-
-        Raises
-        ------
-        UserError : either.
-        """
+    def check_names(self) -> None:
+        """Raise UserError for a kind or a disturbance that there is not."""
         from interarea.models.errors import UserError
 
-        if study != STUDY:
-            for option in self.options:
-                raise UserError(f"{option}: goes with the study {STUDY}, not with {study}; leave it out")
         if not (self.kinds or self.disturbances):
             return
         from interarea.cosim.scenario.signal_faults import wrong_kinds
