@@ -180,12 +180,21 @@ def other_kind(table: Mapping[str, Any], wanted: str) -> str | None:
     if not table:
         return f"is empty, wanted: a {wanted}"
     keys = set(table)
-    if keys & KINDS[wanted][0]:
+    if wanted in KINDS and keys & KINDS[wanted][0]:
         return None
     for kind, (signs, command) in KINDS.items():
         if kind != wanted and keys & signs:
             return f"is a {kind} (`{command}`), wanted: a {wanted}"
     return None
+
+
+def toml_kind(content: bytes, wanted: str) -> str | None:
+    """Return what `other_kind` says of a text that is TOML; None where it is none."""
+    try:
+        table = parse_toml(content)
+    except DocumentError:
+        return None
+    return other_kind(table, wanted) if table else None
 
 
 _TERM = re.compile(r"(?P<number>\d+(?:\.\d*)?(?:[eE][-+]?\d+)?)\s*(?P<unit>s|cycles?)")

@@ -20,6 +20,7 @@ from interarea.design.robust.operating_points import FamilyCertificate, inter_ar
 from interarea.design.robust.smoothed_objective import BandOffsets
 from interarea.design.robust.spec import RobustSpec, require_moved
 from interarea.models.blocks.plant_shown import shown_of
+from interarea.models.bundled import bundled_elsewhere
 from interarea.models.case.case import Case, load_case
 from interarea.models.mistakes import mistakes
 from interarea.models.table import Table
@@ -225,9 +226,9 @@ def load_design(path: str | Path) -> DesignTable:
     bundled = Path(__file__).parent / f"design_{path}.toml"
     file = bundled if not path.suffix and bundled.exists() else path
     if not file.exists():
-        raise ScenarioError(
-            f"design {str(path)!r} is neither a file nor bundled; {nearest(str(path), design_names())}"
-        )
+        other = bundled_elsewhere(str(path), "design")
+        what = other or f"is neither a file nor bundled; {nearest(str(path), design_names())}"
+        raise ScenarioError(f"design {str(path)!r} {what}")
     return design_of(read_toml(file, "design", ScenarioError), where=str(path))
 
 

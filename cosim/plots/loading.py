@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 
 def load_plots() -> None:
     """Load matplotlib without the lists of properties in its docstrings, which take a third of its loading.
 
     For a command: in a notebook these lists are what help on `Axes.plot` prints. Figures are the same.
     """
-    from matplotlib import artist
+    from matplotlib import artist as module
 
+    artist: Any = module
     written = artist.kwdoc
 
     def left_out(_artist: object) -> str:

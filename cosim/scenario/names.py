@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from interarea.design.controllers.bundled import shipped_banks, shipped_names
+from interarea.models.bundled import bundled_elsewhere
 from interarea.models.case.document import ROW_TABLES
 from interarea.models.errors import Collected, UserError
 
@@ -76,6 +77,8 @@ def wrong_controller(name: Any, where: str, folder: Path) -> Iterator[str]:
 
 def no_controller(name: str) -> str:
     """Return the line of a controller that is neither a name nor a file."""
+    if (other := bundled_elsewhere(name, "controller")) is not None:
+        return f"controller = {name!r} {other}"
     hint = nearest(name, NAMED_CONTROLLERS)
     return f"controller = {name!r} is neither a name nor a file; {hint} (or the path of a controller file)"
 

@@ -95,6 +95,7 @@ from pydantic import (
 )
 
 from interarea.fmu_build.open.ports import DLL_SUFFIXES
+from interarea.models.bundled import bundled_elsewhere
 from interarea.models.documents import in_seconds
 from interarea.models.errors import Collected, UserError
 from interarea.models.mistakes import mistakes
@@ -376,6 +377,8 @@ def load_scenario(
     if not path.suffix and not path.exists():
         path = BUNDLED / f"{path.name}.toml"
         if not path.is_file():
+            if (other := bundled_elsewhere(str(source), "scenario")) is not None:
+                raise ScenarioError(f"{source} {other}")
             hint = nearest(str(source), scenario_names())
             raise ScenarioError(f"scenario {str(source)!r} is neither a file nor bundled; {hint}")
     if not path.exists():

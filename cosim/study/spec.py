@@ -11,6 +11,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from interarea.design.synthesis.study_designs import SPECIFICATIONS as DESIGNS
 from interarea.design.synthesis.study_designs import StudySpec
+from interarea.models.bundled import bundled_elsewhere
 from interarea.models.case.case import load_case
 from interarea.models.documents import in_seconds
 from interarea.models.errors import Collected
@@ -41,6 +42,8 @@ def load_study(name: str) -> Mapping[str, Any]:
     """
     path = Path(name) if name.endswith(".toml") else SPECIFICATIONS / f"{PREFIX}{name}.toml"
     if not path.is_file():
+        if (other := bundled_elsewhere(name, "study")) is not None:
+            raise ScenarioError(f"{name} {other}")
         raise ScenarioError(
             f"study {name!r} is neither bundled nor a TOML file; {nearest(name, study_names())}"
         )

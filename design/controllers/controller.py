@@ -18,7 +18,7 @@ import numpy as np
 
 from interarea.models.blocks.controller import Guard, controller_block
 from interarea.models.blocks.variables import Block
-from interarea.models.documents import DocumentError, parse_json, read_document
+from interarea.models.documents import DocumentError, parse_json, read_document, toml_kind
 from interarea.models.errors import UserError
 from interarea.models.files import write_whole
 
@@ -223,7 +223,8 @@ class Controller:
         try:
             data = parse_json(content)
         except DocumentError as error:
-            raise ControllerError(f"controller file {path}: {error}") from None
+            other = toml_kind(content, "controller")
+            raise ControllerError(f"controller file {path}: {other or error}") from None
         try:
             return cls.from_dict(data)
         except ControllerError as error:

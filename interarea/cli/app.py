@@ -11,6 +11,7 @@ import warnings
 from collections.abc import Sequence
 from contextlib import suppress
 from importlib import import_module
+from itertools import pairwise
 from typing import Annotated, Any, NoReturn
 
 import typer
@@ -129,6 +130,7 @@ COMMANDS = {
         "Run a whole study, or study a grid: modes, a design made for it, faults, report.html, study.json.",
     ),
 }
+_UsageError: Any = typer.BadParameter.__base__  #: typer's own, or click's where typer is older
 _SETTINGS: dict[str, Any] = {
     "pretty_exceptions_enable": False,
     "rich_markup_mode": None,
@@ -153,7 +155,38 @@ class _Command(_QuickHelp, TyperCommand):
             if word == "" or (word.startswith("--") and word.endswith("=")):
                 option = word.removesuffix("=") or (before if before.startswith("-") else "an argument")
                 raise typer.BadParameter("is empty, allowed: a name", param_hint=option)
-        return super().parse_args(ctx, args)
+        try:
+            return super().parse_args(ctx, list(args))
+        except typer.BadParameter as error:
+            if (line := _refused_word(error, args)) is None:
+                raise
+            raise typer.BadParameter(line, ctx=ctx, param=error.param) from None
+        except _UsageError as error:
+            out = next((p for p in self.params if "--out" in p.opts), None)
+            if out is None or "--out" in args or "unexpected extra argument" not in error.message:
+                raise
+            folder = error.message.rpartition("(")[2].rstrip(")").split()[-1]
+            raise _UsageError(f"{error.message}; what is written goes to --out {folder}", ctx) from None
+
+
+def _refused_word(error: Any, args: Sequence[str]) -> str | None:
+    """Return what an option got and takes, where its message does not say the first; None of others.
+
+    The metavar of an option is the unit of its number.
+    """
+    wanted = error.message.removeprefix("Input should be ")
+    if wanted == error.message or error.param is None:
+        return None
+    words = [after for before, after in pairwise(args) if before in error.param.opts]
+    words += [w.partition("=")[2] for w in args if w.partition("=")[0] in error.param.opts and "=" in w]
+    if not words:
+        return None
+    got, numbers = words[-1], {"a valid number": "a number", "a valid integer": "a whole number"}
+    for said, number in numbers.items():
+        if wanted.startswith(said):
+            unit = f" ({error.param.metavar})" if error.param.metavar else ""
+            return f"{got!r}, allowed: {number}{unit}"
+    return f"{got}, allowed: {wanted}"
 
 
 def load(name: str) -> Any:

@@ -88,6 +88,10 @@ def design(
         made, written = design_for_grid(spec, grid[0], out, minutes)
         _show_made(made, grid[1], written, json_=json_)
         return
+    if minutes is not None:
+        from interarea.models.errors import UserError
+
+        raise UserError(f"--minutes: of a grid, not of the design {spec}; leave it out")
     table, cache = load_design(spec), default_cache()
     case = load_case(table.case)
     if table.bank is not None:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from interarea.cosim.errors import SweepError
+from interarea.models.bundled import bundled_elsewhere
 from interarea.models.documents import require_regular
 from interarea.progress import tell_runs
 
@@ -53,6 +54,8 @@ def sweep(
     if retry not in (None, "failed"):
         raise SweepError(f"--retry = {retry}, allowed: failed")
     folder_for(out)
+    if not spec.exists() and (other := bundled_elsewhere(str(spec), "sweep")) is not None:
+        raise SweepError(f"{spec} {other}")
     require_regular(spec, "a sweep file", SweepError)  # before what takes seconds to load
     from interarea.cosim.sweep.front import run_sweep
 

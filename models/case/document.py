@@ -10,6 +10,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, get_args
 
+from ..bundled import bundled_elsewhere
 from ..documents import DocumentError, other_kind, parse_toml, read_document
 from ..errors import CaseError, nearest, reason
 from ..files import read_text, toml_files
@@ -176,6 +177,8 @@ def _text(name_or_path: str | Path, beside: Path | None) -> tuple[str, str, Path
             raise CaseError(f"{path}: the case file cannot be read: {reason(error)}") from None
     known = case_names()
     if name not in known:
+        if (other := bundled_elsewhere(name, "case")) is not None:
+            raise CaseError(f"{name} {other}")
         hint = "(or give the path of a .toml file)"
         there = Path(name).exists()
         what = f"{name}: is no .toml file, so no case" if there else f"case {name!r} does not exist"
