@@ -34,12 +34,13 @@ def led_on(node: Node, name: str) -> Node:
     return replace(node, args=tuple(led_on(part, name) for part in node.args)) if inside else node
 
 
-def spelled_out(node: Node, model: Model) -> Node:
-    """Return `node` with the signals in it that are plain expressions replaced by those."""
+def spelled_out(node: Node, model: Model, within: frozenset[str] = frozenset()) -> Node:
+    """Return `node` with the signals in it that are plain expressions spelled out; those `within` stand."""
     element = model.elements.get(node.name) if node.op == "name" else None
-    if isinstance(element, Plain):
-        return spelled_out(element.u, model)
-    return replace(node, args=tuple(spelled_out(part, model) for part in node.args)) if node.args else node
+    if isinstance(element, Plain) and node.name not in within:
+        return spelled_out(element.u, model, within | {node.name})
+    parts = tuple(spelled_out(part, model, within) for part in node.args)
+    return replace(node, args=parts) if parts else node
 
 
 def holding(e: Equation, known: Mapping[str, float]) -> Hold | None:

@@ -16,7 +16,9 @@ from interarea.models.case.case import load_case
 from interarea.models.case.events import events_of
 from interarea.models.devices.dyr import dyr_models
 from interarea.models.devices.library import library
-from interarea.models.errors import CaseError
+from interarea.models.devices.release import released
+from interarea.models.devices.rows import numbers_of, row_of
+from interarea.models.errors import CaseError, DeviceError
 from interarea.models.files import default_cache
 from interarea.models.grid.equilibrium import operating_point
 from interarea.models.grid.machine_tables import in_plant_order
@@ -289,6 +291,17 @@ def test_what_cannot_rest_is_named(changes, says):
     with pytest.raises(CaseError) as reported:
         operating_point(with_der("plain", **changes))
     assert says in str(reported.value)
+
+
+@pytest.mark.parametrize(("kind", "flag"), [("der_a", "PQFlag"), ("wecc_converter", "PQFLAG")])
+@pytest.mark.parametrize("priority", [0.0, 1.0])
+def test_a_circle_of_the_current_that_cannot_be_released_is_named(kind, flag, priority):
+    """Each limit of a current follows from the other: spelling one out ends."""
+    model = library()[kind]
+    numbers = numbers_of(model.device, row_of(model.device, {"Imax": 0.405, flag: priority}), 100.0, 60.0)
+    seen = {"vt": 1.0, "p": 0.4, "q": 0.1, "p_mod": 0.0, "q_mod": 0.0, "vr": 0.8, "vi": 0.6, "iq": 0.1}
+    with pytest.raises(DeviceError, match=r"test: i[pq]cmd is 0\.[14] at rest, above i[pq]max = 0\."):
+        released(model, numbers, seen, 0.4, "test")
 
 
 @pytest.mark.skipif(not RECORD.exists(), reason="needs ../shared/reference")
