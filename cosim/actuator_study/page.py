@@ -42,12 +42,13 @@ def _figure(study: Mapping[str, Any]) -> Figure:
         left.set_ylim(bottom=0.0)
         left.set_ylabel("inter-area damping ratio")
         right.set_ylabel("faults survived, worst loss")
+        right.set_ylim(0, len(study["faults"]) * len(study["clear_ms"]) + 0.5)
         right.yaxis.set_major_locator(MaxNLocator(integer=True))
         for axes in (left, right):
             axes.set_xlabel("latency of remote signals (ms)")
             axes.set_xticks([OWN_AT, 0, 100, 200, 300], ["own", "0", "100", "200", "300"])
             axes.set_xlim(2 * OWN_AT, 320)
-        left.legend(fontsize="small")
+        figure.legend(loc="outside upper left", ncols=5, fontsize="small")
     return figure
 
 

@@ -51,10 +51,20 @@ def _worth(cells: Sequence[Cell]) -> str:
     unstable = sorted({c.worst_lost for c in remote if not c.lost_stable and c.worst_lost})
     if unstable:
         text += f"; unstable when {' or '.join(unstable)} is lost"
+    elif (left := _left_by_a_loss(own, remote)) is not None:
+        text += (
+            f"; with {left.worst_lost} lost {left.lost:.3f} at {left.latency_ms} ms, less than its own signal"
+        )
     fewest = min(remote, key=lambda c: c.survived)
     if fewest.survived < own.survived:
         text += f"; {own.survived - fewest.survived} faults fewer are survived at {fewest.latency_ms} ms"
     return text
+
+
+def _left_by_a_loss(own: Cell, remote: Sequence[Cell]) -> Cell | None:
+    """Return the remote cell with least damping after a loss, None where `own` has no more."""
+    losing = [c for c in remote if c.lost is not None and own.least - c.lost >= PAYS]
+    return min(losing, key=lambda c: c.lost or 0.0, default=None)
 
 
 def _verdict(own: Cell, remote: Sequence[Cell]) -> str:

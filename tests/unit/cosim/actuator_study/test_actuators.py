@@ -112,15 +112,20 @@ def test_conclusions_follow_from_the_numbers() -> None:
         _cell("svc", "remote", 300, 0.09, lost_stable=False, survived=10),
         _cell("lcc", "own", 0, 0.30),
         _cell("lcc", "remote", 0, 0.31),
+        _cell("tcsc", "own", 0, 0.14),
+        _cell("tcsc", "remote", 0, 0.27, lost=0.11),
+        _cell("tcsc", "remote", 300, 0.17, lost=0.13),
     ]
     assert conclusion(cells) == [
-        "with own signals inter-area damping is LCC dc link 0.300, SVC 0.080",
-        "with remote signals 0 ms late inter-area damping is LCC dc link 0.310, SVC 0.120",
-        "with remote signals 300 ms late inter-area damping is SVC 0.090",
+        "with own signals inter-area damping is LCC dc link 0.300, TCSC 0.140, SVC 0.080",
+        "with remote signals 0 ms late inter-area damping is LCC dc link 0.310, TCSC 0.270, SVC 0.120",
+        "with remote signals 300 ms late inter-area damping is TCSC 0.170, SVC 0.090",
         "SVC: own signal 0.080, remote 0.120 at most; the link pays at 0 ms, not at 300 ms; unstable when x "
         "is lost; 2 faults fewer are survived at 300 ms",
         "LCC dc link: own signal 0.300, remote 0.310 at most; the own signal does as well: do not build this "
         "link",
+        "TCSC: own signal 0.140, remote 0.270 at most; the link pays at 0, 300 ms; with x lost 0.110 at "
+        "0 ms, less than its own signal",
     ]
 
 
