@@ -32,6 +32,7 @@ _WORKER = ("eigenvalues.js", "judge.js", "worker.js")
 _AFTER = re.compile(r"\s+/\*[^*]*\*/$")  #: a comment behind code
 _TIGHT = re.compile(r"([:;,{}])\s+|\s+(?=\{)")  #: spaces and ends of lines that a style sheet does without
 _OPERATOR = re.compile(r" (=>|[=!]==|&&|\|\|) ")  #: what no text of the scripts holds
+_KEYWORD = re.compile(r"^(if|for|while) \(")
 _BRACE = re.compile(r"(\)|=>) \{$")  #: what opens a block at the end of a line
 _STRICT = "'use strict';"
 _PAGE = ("link.js", "plots.js", "diagram.js", "controls.js", "page.js")
@@ -145,5 +146,6 @@ def _compact(text: str) -> str:
         if comment or line.startswith("/*"):
             comment = "*/" not in line
         elif line:
-            lines.append(_OPERATOR.sub(r"\1", _BRACE.sub(r"\1{", _AFTER.sub("", line))))
+            line = _KEYWORD.sub(r"\1(", _BRACE.sub(r"\1{", _AFTER.sub("", line)))
+            lines.append(_OPERATOR.sub(r"\1", line))
     return "\n".join(lines)
