@@ -2,8 +2,8 @@
 
 After a fault the branch that cleared it is out and lost signals are gone: that loop, linearised at the power
 flow solved anew without the branch, decides whether what is left of the fault dies out. Where no power flow
-is found without the branch (its loads are of constant power, those of a run are not), the loop with it is
-taken, and told (`FaultLoops.unsolved`).
+is found without the branch (its loads are of constant power, those of a run are not), or the grid is in
+pieces without it, the loop with it is taken, and told (`FaultLoops.unsolved`).
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from interarea.design.controllers.controller import Controller
 from interarea.design.delay.curves import delayed_loop, rightmost_roots
 from interarea.design.delay.signal_conditions import Condition
 from interarea.design.linear.matrices import ZERO_EIGENVALUE
-from interarea.models.case.case import Case
+from interarea.models.case.case import Case, CaseError
 from interarea.models.case.variants import operating_variant
 from interarea.models.grid.powerflow import PowerFlowError
 
@@ -71,7 +71,7 @@ class FaultLoops:
     def __init__(self, case: Case, controller: ControllerOrBank, cache: Path) -> None:
         self.case, self.controller, self._cache = case, controller, cache
         self._plants: dict[str | None, FamilyPlant] = {}
-        self.unsolved: list[str] = []  #: branches without which no power flow is found
+        self.unsolved: list[str] = []  #: branches without which there is no power flow
         self._ends: dict[tuple[str | None, tuple[str, ...], _Late, bool], LoopEnd] = {}
 
     def end(
@@ -99,11 +99,11 @@ class FaultLoops:
 
     def _plant(self, trip: str | None) -> FamilyPlant:
         if trip not in self._plants:
-            case = self.case if trip is None else operating_variant(self.case, out=(trip,))
             signals, actuators = tuple(self.controller.inputs), tuple(self.controller.outputs)
             try:
+                case = self.case if trip is None else operating_variant(self.case, out=(trip,))
                 self._plants[trip] = FamilyPlant.of(case, signals, actuators, self._cache)
-            except PowerFlowError:
+            except (PowerFlowError, CaseError):
                 if trip is None:
                     raise
                 self.unsolved.append(trip)

@@ -92,6 +92,13 @@ def test_a_line_that_is_tripped_takes_its_series_capacitor_along(
     assert root == pytest.approx(complex(roots[np.abs(roots) > 1e-6].real.max()), abs=1e-6)
 
 
+def test_a_trip_that_parts_the_grid_is_named_and_takes_the_loop_with_the_branch(cache: Path) -> None:
+    case = operating_variant(load_case("two-area-thesis"), out=["8-9 a"])
+    loops = FaultLoops(case, shipped_controller("robust"), cache)
+    assert loops.end("8-9 b") == loops.end(None)
+    assert loops.unsolved == ["8-9 b"]
+
+
 @pytest.mark.slow
 def test_an_acceptance_runs_every_kind_of_loads(cache: Path) -> None:
     few = TABLE.model_copy(update={"ceilings": (), "latency_s": (0.1,), "loads": ((1.0, 2.0),)})
