@@ -22,6 +22,7 @@ from interarea.design.controllers.bank import ControllerBank
 from interarea.design.controllers.controller import Controller
 from interarea.design.delay.curves import delayed_loop, rightmost_roots
 from interarea.design.delay.signal_conditions import Condition
+from interarea.design.linear.linearise import select
 from interarea.design.linear.matrices import ZERO_EIGENVALUE
 from interarea.models.case.case import Case, CaseError
 from interarea.models.case.variants import operating_variant
@@ -126,23 +127,11 @@ class FaultLoops:
 def _remaining(K: control.StateSpace, plant: FamilyPlant) -> control.StateSpace:
     """Return `K` without the ports of a device that is out together with the branch."""
     small = plant.small
-    inputs, outputs = list(K.input_labels), list(K.output_labels)
     there = plant.blocks.inputs if small is None else small.input_labels
-    seen = inputs if small is None else small.output_labels
-    if all(name in there for name in outputs) and all(name in seen for name in inputs):
-        return K
-    rows = [k for k, name in enumerate(outputs) if name in there]
-    columns = [k for k, name in enumerate(inputs) if name in seen]
-    if not rows or not columns:
-        return control.ss([], [], [], [])
-    return control.ss(
-        K.A,
-        np.asarray(K.B)[:, columns],
-        np.asarray(K.C)[rows],
-        np.asarray(K.D)[np.ix_(rows, columns)],
-        inputs=[inputs[k] for k in columns],
-        outputs=[outputs[k] for k in rows],
-    )
+    seen = K.input_labels if small is None else small.output_labels
+    signals = [name for name in K.input_labels if name in seen]
+    actuators = [name for name in K.output_labels if name in there]
+    return select(K, signals, actuators) if signals and actuators else control.ss([], [], [], [])
 
 
 def _dense_end(
