@@ -19,6 +19,8 @@ test: lint types test-fast test-slow
 # together, so that its fixtures are made once. Which slow files come first says tests/conftest.py.
 WORKERS ?= 3
 test-fast test-slow: export INTERAREA_CACHE ?= $(CURDIR)/build/cache
+# Each process, and each command that a test starts, would compile all of Python again, 10 s to collect the tests.
+test-fast test-slow: export PYTHONDONTWRITEBYTECODE :=
 
 test-fast: $(VENV)/installed-test
 	$(BIN)/python -m pytest -q -n $(WORKERS) --dist loadfile --durations=15
