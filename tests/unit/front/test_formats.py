@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import tomllib
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -21,12 +22,13 @@ from interarea.models.devices.library import own_model
 from interarea.models.files import read_text
 
 PAGES = Path(__file__).resolve().parents[3] / "docs" / "formats"
+page = cache(formats.page)  # each is made once for all that is said of it
 
 
 @pytest.mark.parametrize("kind", formats.kinds())
 def test_page_and_schema_are_those_of_the_models(kind: str) -> None:
     again = "run: python docs/formats/make.py"
-    assert (PAGES / f"{kind}.md").read_text(encoding="utf-8") == formats.page(kind), again
+    assert (PAGES / f"{kind}.md").read_text(encoding="utf-8") == page(kind), again
     shipped = json.loads((formats.SCHEMAS / f"{kind}.json").read_text(encoding="utf-8"))
     assert shipped == json.loads(json.dumps(formats.schema(kind))), again
 
@@ -42,7 +44,7 @@ def test_every_key_of_a_bundled_file_is_in_the_schema(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", formats.kinds())
 def test_every_key_says_what_it_is_with_an_example_or_a_default(kind: str) -> None:
-    keys = formats.page(kind).partition("\n## Elements")[0].splitlines()  # behind it: words of diagrams
+    keys = page(kind).partition("\n## Elements")[0].splitlines()  # behind it: words of diagrams
     rows = [re.split(r"(?<!\\)\|", line)[1:-1] for line in keys if line[:3] == "| `"]
     assert len(rows) >= 10
     for key, holds, _, default, example, words in ([cell.strip() for cell in row] for row in rows):
