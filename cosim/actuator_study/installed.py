@@ -16,6 +16,8 @@ import numpy as np
 from interarea.design.linear.linearise import remove_reference, speeds_in_rad
 from interarea.design.modes.loop_points import LoopSet
 from interarea.models.case.case import Case
+from interarea.models.case.hvdc_schema import Hvdc
+from interarea.models.case.vsc_schema import Vsc
 from interarea.models.grid.powerflow import PowerFlow, solve_powerflow
 
 from ..errors import ScenarioError
@@ -33,7 +35,6 @@ KINDS = {
     "statcom": "STATCOM",
     "tcsc": "TCSC",
 }
-NOT_MODELLED = {"vsc": "two-terminal VSC dc links are not modelled"}
 SHARE = 0.3  #: of a device's installed power that its full output moves, at most
 FULL_AT = (
     0.4  #: rad/s (64 mHz): speed at which a loop may give its full output; .125 pu per rad/s at an exciter
@@ -65,10 +66,17 @@ class Installed:
         return LoopTerms(self.full / (FULL_AT * self.per_rad[signals]), self.full, self.near, starts)
 
 
+def _links(case: Case) -> dict[str, tuple[Hvdc | Vsc, ...]]:
+    """Return kind -> the dc links of a grid."""
+    return {"lcc": case.hvdcs, "vsc": case.vscs}
+
+
 def ratings(case: Case) -> dict[str, dict[str, float]]:
     """Return kind -> device -> installed power, MVA, for each device of a grid that can be compared."""
     flow = solve_powerflow(case)
-    rated: dict[str, dict[str, float]] = {"lcc": {row.name: row.base_mva for row in case.hvdcs}}
+    rated: dict[str, dict[str, float]] = {
+        kind: {row.name: row.base_mva for row in rows} for kind, rows in _links(case).items()
+    }
     for kind in _GAIN:
         rated[kind] = {row.name: row.base_mva for row in case.svcs if row.control.kind == kind}
     rated["tcsc"] = {
@@ -96,7 +104,7 @@ def installed(
     case = weak.case
     rated = ratings(case)
     chosen: dict[str, tuple[str, float]] = {}
-    for kind in (k for k in kinds if k not in ("exciter", *NOT_MODELLED)):
+    for kind in (k for k in kinds if k != "exciter"):
         if not rated[kind]:
             there = [KINDS[k] for k, rows in rated.items() if rows] or ["exciter alone"]
             raise ScenarioError(
@@ -112,13 +120,11 @@ def installed(
                 "above 0 and at most that; give the device more or --mva less"
             )
     plant = speeds_in_rad(remove_reference(linear_plant(case, cache)), case.omega_b)
-    return {
-        k: _installed(k, weak, plant, chosen.get(k), power) for k in kinds if k not in NOT_MODELLED
-    }, power
+    return {k: _installed(k, weak, plant, chosen.get(k), power) for k in kinds}, power
 
 
-_TABLE = {"lcc": "hvdcs", "svc": "svcs", "statcom": "svcs", "tcsc": "tcscs"}
-_WORD = {"lcc": "p_mod", "svc": "v_mod", "statcom": "v_mod", "tcsc": "x_mod"}
+_TABLE = {"lcc": "hvdcs", "vsc": "vscs", "svc": "svcs", "statcom": "svcs", "tcsc": "tcscs"}
+_WORD = {"lcc": "p_mod", "vsc": "p_mod", "svc": "v_mod", "statcom": "v_mod", "tcsc": "x_mod"}
 
 
 def _sizes(plant: control.StateSpace, eigenvalue: complex) -> dict[str, complex]:
@@ -130,9 +136,10 @@ def _sizes(plant: control.StateSpace, eigenvalue: complex) -> dict[str, complex]
 
 def _own_signal(case: Case, kind: str, name: str) -> str:
     """Return what a device measures where it stands: the tie's power at its end, else its own output."""
-    if kind == "lcc":
-        row = next(row for row in case.hvdcs if row.name == name)
-        ends, own = {row.rectifier_bus, row.inverter_bus}, f"{name}_q_rectifier"
+    links = _links(case)
+    if kind in links:
+        row = next(row for row in links[kind] if row.name == name)
+        ends, own = {row.bus, row.seen_bus}, f"{name}_q_{'rectifier' if kind == 'lcc' else 'from'}"
     elif kind == "tcsc":
         line = case.branch(next(row.branch for row in case.tcscs if row.name == name))
         ends, own = {line.from_bus, line.to_bus}, f"{name}_i"
@@ -143,8 +150,9 @@ def _own_signal(case: Case, kind: str, name: str) -> str:
 
 def _full(case: Case, kind: str, name: str, mva: float) -> float:
     """Return the modulation that moves `SHARE` of so many MVA of a device, unit of its input."""
-    if kind == "lcc":
-        row = next(row for row in case.hvdcs if row.name == name)
+    links = _links(case)
+    if kind in links:
+        row = next(row for row in links[kind] if row.name == name)
         return min(SHARE * mva / row.base_mva, row.p_mod_pu)
     if kind == "tcsc":
         branch = next(row.branch for row in case.tcscs if row.name == name)

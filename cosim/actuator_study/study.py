@@ -21,7 +21,7 @@ from ..grid_study.clock import Clock
 from ..grid_study.link_study import link_designs
 from ..grid_study.weak_modes import modes_of_grid, weak_modes
 from .cells import CLEAR_MS, LATENCIES_MS, REMOTE, ActuatorCells, Cell, started_from, without_matrices
-from .installed import FULL_AT, KINDS, NOT_MODELLED, SHARE, Installed, installed
+from .installed import FULL_AT, KINDS, SHARE, Installed, installed
 from .page import write_actuator_page
 from .words import conclusion
 
@@ -85,7 +85,6 @@ def study_actuators(
             "clear_ms": list(CLEAR_MS),
             "latencies_ms": sorted(latencies_ms),
             "survived_without": made.without_control(),
-            "not_modelled": {kind: NOT_MODELLED[kind] for kind in kinds if kind in NOT_MODELLED},
             "actuators": [_actuator(one) for one in compared.values()],
             "no_time_for": clock.left_out,
             "versions": {"interarea": version("interarea")},

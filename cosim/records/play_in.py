@@ -92,7 +92,7 @@ def _only_branch(case: Case, m: Machine) -> Branch | None:
     buses = [row.bus for row in case.machines] + [row.bus for row in case.loads]
     buses += [row.bus for row in case.shunts] + [row.bus for row in case.svcs]
     buses += [row.bus for row in case.converters]
-    alone = buses.count(m.bus) == 1 and not case.hvdcs
+    alone = buses.count(m.bus) == 1 and not case.links
     return there[0] if len(there) == 1 and alone and not there[0].b else None
 
 

@@ -187,7 +187,7 @@ def linearised(fmu: Path) -> LinearMatrices:
 def _require_linear(case: Case) -> None:
     """Refuse a grid in parts, and one with a device at a bus on its limit."""
     require_one_network(case, "each has a rotation of its own")
-    if case.svcs or case.tcscs or case.hvdcs:
+    if case.svcs or case.tcscs or case.links:
         from interarea.models.grid.start import require_off_limits
 
         require_off_limits(case)

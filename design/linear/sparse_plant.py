@@ -29,6 +29,7 @@ from scipy.sparse.linalg import splu
 from interarea.models.errors import InterareaError
 from interarea.models.grid.dc_link import INVERTER
 from interarea.models.grid.network import assembled
+from interarea.models.grid.vsc_link import CONVERTER, FAR
 
 from .modal_devices import Modal, scattered
 from .sparse_network import Elimination, Network
@@ -297,14 +298,15 @@ class _Blocks:
 
 
 def _ports_of_devices(ports: Matrix, names: Sequence[str]) -> tuple[IntArray, IntArray]:
-    """Where in the table of ports each device at a bus stands, and the inverters of dc links."""
+    """Where in the table of ports each device at a bus stands, and the second ends of dc links."""
     devices = ports[:, 0] == _DEVICE
     for k in ports[devices & (ports[:, _COUPLING] == 0.0), 1]:
         raise SparsePlantError(
             f"{names[int(k)]} regulates another bus than its own, which is not taken; leave "
             "out `regulates`, or use `interarea modes` on a grid of fewer states"
         )
-    inverters = devices & (ports[:, _COUPLING] == INVERTER)
+    coupling = ports[:, _COUPLING]
+    inverters = devices & ((coupling == INVERTER) | ((coupling == CONVERTER) & (ports[:, FAR] == 1.0)))
     return np.flatnonzero(devices & ~inverters), np.flatnonzero(inverters)
 
 

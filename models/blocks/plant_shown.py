@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..case.case import Case, CaseError
+from ..case.hvdc_schema import Hvdc
 from ..case.schema import Bus
 from ..grid.bus_devices import DEVICE
 from ..grid.coupling import voltage_sources
@@ -153,8 +154,8 @@ def shown_tables(
 
 
 def _ports_of_devices(case: Case, ports: npt.NDArray[np.float64]) -> dict[int, int]:
-    """Return the row of the port of each device at a bus; inverters of links come after all."""
-    links = range(len(case.at_buses) - len(case.hvdcs), len(case.at_buses))
+    """Return the row of the port of each device at a bus; second ends of links come after all."""
+    links = range(len(case.at_buses) - len(case.links), len(case.at_buses))
     port: dict[int, int] = {}
     for place, (kind, device) in enumerate(ports[:, :2].astype(int)):
         if kind == DEVICE and device not in port:
@@ -195,7 +196,7 @@ def _of_svcs(case: Case) -> Iterator[Shown]:
             yield _output(f"{row.name}.i", text, network, "bus_v", place[nodes[row.name]])
             continue
         text = "power into the network, base of the case"
-        if k >= len(case.at_buses) - len(case.hvdcs):
+        if k >= len(case.at_buses) - len(case.links):
             yield from _of_link(case, k, network)
             continue
         yield _output(f"{row.name}.q", f"reactive {text}", network, "device_q", k)
@@ -208,8 +209,10 @@ def _of_svcs(case: Case) -> Iterator[Shown]:
 
 def _of_link(case: Case, k: int, network: tuple[str, ...]) -> Iterator[Shown]:
     row = case.at_buses[k]
-    for end, of in (("rectifier", k), ("inverter", k + len(case.hvdcs))):
-        text = f"power into the network at the {end}, base of the case"
+    ends = ("rectifier", "inverter") if isinstance(row, Hvdc) else ("from", "to")
+    for end, of in zip(ends, (k, k + len(case.links)), strict=True):
+        place = f"the {end}" if isinstance(row, Hvdc) else f"{end}_bus"
+        text = f"power into the network at {place}, base of the case"
         yield _output(f"{row.name}.p_{end}", f"active {text}", network, "device_p", of)
         yield _output(f"{row.name}.q_{end}", f"reactive {text}", network, "device_q", of)
 

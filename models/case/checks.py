@@ -14,6 +14,10 @@ if TYPE_CHECKING:  # names are looked up in an `outline` too, before pydantic's 
     from .tables import CaseTables
 
 
+#: table of dc links -> keys of its buses
+_LINKS = {"hvdcs": ("rectifier_bus", "inverter_bus"), "vscs": ("from_bus", "to_bus")}
+
+
 def check_whole(case: CaseTables) -> None:
     """Check ids, references, slack and connection of `case`; ValueError with one line otherwise."""
     for table, key in ROW_TABLES.items():
@@ -46,9 +50,7 @@ def _check_references(case: CaseTables) -> None:
             _bus(row.bus, f"{table}.{row.name}.bus", known)
     for svc in case.svcs:
         _bus(svc.seen_bus, f"svcs.{svc.name}.regulates", known)
-    for row in case.hvdcs:
-        for key in ("rectifier_bus", "inverter_bus"):
-            _bus(getattr(row, key), f"hvdcs.{row.name}.{key}", known)
+    _check_links(case, known)
     if case.tie is None:
         return
     branches = {b.name: b for b in case.branches}
@@ -57,6 +59,13 @@ def _check_references(case: CaseTables) -> None:
             raise ValueError(f"tie.branches: branch {name!r} does not exist; {nearest(name, branches)}")
         if case.tie.from_bus not in (branches[name].from_bus, branches[name].to_bus):
             raise ValueError(f"tie.from = {case.tie.from_bus}: branch {name!r} does not end there")
+
+
+def _check_links(case: CaseTables, known: set[int]) -> None:
+    for table, keys in _LINKS.items():
+        for row in getattr(case, table):
+            for key in keys:
+                _bus(getattr(row, key), f"{table}.{row.name}.{key}", known)
 
 
 def _bus(number: int, key: str, known: set[int]) -> None:
@@ -87,12 +96,7 @@ def _check_svcs(case: CaseTables) -> None:
             raise ValueError(
                 f"converters.{row.name}: a machine or an SVC has that name too, allowed: another name"
             )
-    others = {*machines, *svcs, *(row.name for row in case.converters)}
-    for link in case.hvdcs:
-        if link.name in others:
-            raise ValueError(
-                f"hvdcs.{link.name}: a machine or a device has that name too, allowed: another name"
-            )
+    _check_link_names(case, {*machines, *svcs, *(row.name for row in case.converters)})
     for svc in case.svcs:
         if svc.name in machines:
             raise ValueError(f"svcs.{svc.name}: a machine has that name too, allowed: another name")
@@ -116,10 +120,20 @@ def _check_svcs(case: CaseTables) -> None:
             )
 
 
+def _check_link_names(case: CaseTables, taken: set[str]) -> None:
+    for table in _LINKS:
+        for link in getattr(case, table):
+            if link.name in taken:
+                raise ValueError(
+                    f"{table}.{link.name}: a machine or a device has that name too, allowed: another name"
+                )
+            taken.add(link.name)
+
+
 def _check_tcscs(case: CaseTables) -> None:
     from .schema import LEFT_OF_LINE
 
-    others: tuple[Any, ...] = (*case.machines, *case.svcs, *case.converters, *case.hvdcs)
+    others: tuple[Any, ...] = (*case.machines, *case.svcs, *case.converters, *case.links)
     taken, branches = {row.name for row in others}, {b.name: b for b in case.branches}
     of: dict[str, str] = {}
     for row in case.tcscs:
@@ -253,7 +267,7 @@ def target_index(case: CaseTables, event: Any) -> int:
         return numbers.index(event.bus)
     table = next(t for t in ("branch", "machine", "load", "shunt", "device") if hasattr(event, t))
     rows: Any = (
-        (*case.svcs, *case.tcscs, *case.converters, *case.hvdcs)
+        (*case.svcs, *case.tcscs, *case.converters, *case.hvdcs, *case.vscs)
         if table == "device"
         else getattr(case, {"branch": "branches"}.get(table, f"{table}s"))
     )
@@ -271,7 +285,8 @@ def target_index(case: CaseTables, event: Any) -> int:
 
 
 def _require_target(case: CaseTables, kind: str, table: str, name: str, names: list[str]) -> None:
-    fit = [row.name for row in case.hvdcs] if kind == "hvdc_block" else names
+    links = [row.name for table in _LINKS for row in getattr(case, table)]
+    fit = links if kind == "hvdc_block" else names
     if name in fit:
         return
     if name in names:

@@ -17,9 +17,9 @@ from ..files import read_text, toml_files
 
 #: table in the file -> field that holds the row's key
 ROW_TABLES = {"buses": "number"} | dict.fromkeys(
-    ("branches", "shunts", "loads", "machines", "svcs", "tcscs", "converters", "hvdcs"), "name"
+    ("branches", "shunts", "loads", "machines", "svcs", "tcscs", "converters", "hvdcs", "vscs"), "name"
 )
-LATER_TABLES = ("svcs", "tcscs", "converters", "hvdcs")  #: of these, that earlier cases did not have
+LATER_TABLES = ("svcs", "tcscs", "converters", "hvdcs", "vscs")  #: of these, that earlier cases did not have
 RESERVED = ("source", "defaults")  #: keys of a table of rows that are not ids
 REMOVED = "none"  #: what stands in place of a row, a stabilizer, a tie that is taken out
 BUNDLED = Path(__file__).resolve().parents[1] / "cases"  #: folder of the cases that come with the package

@@ -276,7 +276,8 @@ class DeviceTrip(_Event):
 class HvdcBlock(_Lasting):
     """A dc link is blocked at `start_s`; with `end_s` it starts again then, its control as it was.
 
-    Both converters carry no current, filters stay; the dc current dies away within 10 ms.
+    Both converters carry no current, filters stay; the dc current of line-commutated ones dies away within
+    10 ms, the dc voltage of voltage-source ones stands.
     """
 
     kind: Literal["hvdc_block"] = "hvdc_block"

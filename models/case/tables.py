@@ -18,6 +18,7 @@ from .control_schema import BARE, Positive
 from .events import Event
 from .hvdc_schema import Hvdc
 from .schema import Branch, Bus, Converter, Load, Machine, Shunt, Svc, Tcsc, Tie
+from .vsc_schema import Vsc
 
 Named = TypeVar("Named", Branch, Load, Machine, Shunt)
 
@@ -50,6 +51,7 @@ class CaseTables(Table):
     tcscs: tuple[Tcsc, ...] = ()  #: thyristor controlled series capacitors by name
     converters: tuple[Converter, ...] = ()  #: converter plants by name
     hvdcs: tuple[Hvdc, ...] = ()  #: dc links with line-commutated converters by name
+    vscs: tuple[Vsc, ...] = ()  #: dc links with voltage-source converters by name
     tie: Tie | None = None  #: the cut whose flow operating points move
     events: tuple[Event, ...] = Field(
         default=(), alias="event"
@@ -66,9 +68,14 @@ class CaseTables(Table):
         return {m.name: m.area for m in self.machines}
 
     @property
-    def at_buses(self) -> tuple[Svc | Converter | Hvdc, ...]:
+    def links(self) -> tuple[Hvdc | Vsc, ...]:
+        """Dc links of both kinds: `bus` is that of the first end, `seen_bus` of the second."""
+        return (*self.hvdcs, *self.vscs)
+
+    @property
+    def at_buses(self) -> tuple[Svc | Converter | Hvdc | Vsc, ...]:
         """Devices at buses: SVCs, then converters, then dc links."""
-        return (*self.svcs, *self.converters, *self.hvdcs)
+        return (*self.svcs, *self.converters, *self.links)
 
     @property
     def places(self) -> tuple[str, ...]:

@@ -20,7 +20,7 @@ Array = npt.NDArray[np.float64]
 POINT = {"vt": 1.0, "vd": 0.6, "vq": 0.8, "id": 0.7, "iq": 0.5, "pe": 0.82, "slip": 0.0, "ifd": 1.9}
 POINT |= {"vc": 1.0, "vs": 0.0, "pm": 0.82, "efd": 1.8, "p_mod": 0.0, "q_mod": 0.0, "p": 0.4, "q": 0.1}
 POINT |= {"b": 0.1, "i": 0.1, "ip": 0.4, "vdr": 1.04, "vdi": 1.0, "idc": 1.0, "delta": 0.3}
-POINT |= {"vr": 0.8, "vi": 0.6}
+POINT |= {"vr": 0.8, "vi": 0.6, "v1": 1.0, "p1": -0.5, "v2": 1.0, "p2": 0.5, "ip1": -0.5}
 #: kind -> what is stepped and by how much
 STEPS = {
     "exciter": ("vref", 0.01),
@@ -32,6 +32,12 @@ STEPS = {
     "converter": ("pref", 0.01),
     "hvdc": ("pset", 0.01),
     "source": ("p", 0.01),
+    "vsc": ("p_mod", 0.01),
+}
+#: powers that are those of a device's own currents, of which voltage and current
+_POWERS = {
+    "converter": (("p", "vt", "ip"), ("q", "vt", "iq")),
+    "vsc": (("p1", "v1", "ip1"), ("p2", "v2", "ip2")),
 }
 _RTOL, _ATOL = 1e-8, 1e-10
 
@@ -85,6 +91,9 @@ def response_of(
         inputs |= {"iord": seen["idc"], "xr": 0.3, "xi": 0.3}
     if device.kind == "source":
         inputs["e"] = 1.05
+    if device.kind == "vsc":
+        inputs |= {"iq1": 0.1, "ip2": seen["p2"] / seen["v2"], "iq2": 0.1}
+        seen["ip1"] = seen["p1"] / seen["v1"]
     output = seen[kind.output] if device.references else None
     try:
         row = row_of(device, provided)
@@ -117,9 +126,8 @@ def _step_response(rest: RestPoint, inputs: Mapping[str, float], stop_s: float) 
     times = np.linspace(0.0, stop_s, 201)
 
     def rates(_: float, x: Array) -> list[float]:
-        if device.kind == "converter":  # its powers are those of its currents
-            for power, current in (("p", "ip"), ("q", "iq")):
-                changed[power] = changed["vt"] * x[rest.instance.state_names.index(current)]
+        for power, volt, current in _POWERS.get(device.kind, ()):
+            changed[power] = changed[volt] * x[rest.instance.state_names.index(current)]
         return [float(rate) for rate in stepped.run(list(x), changed)[1]]
 
     states = np.tile(x0, (len(times), 1))

@@ -58,7 +58,11 @@ def _devices(case: Case, *, links: bool) -> list[str]:
     written = {d.name for d in case.hvdcs} if links else set()
     others = [d.name for d in case.at_buses if d.name not in written]
     if others:
-        what = "SVCs, STATCOMs and converters" if links else "SVCs, STATCOMs, converters and dc links"
+        what = (
+            "SVCs, STATCOMs, converters and VSC dc links"
+            if links
+            else "SVCs, STATCOMs, converters and dc links"
+        )
         losses.append(f"{what} with their power ({named(others)})")
     if links and case.hvdcs:
         names = named(row.name for row in case.hvdcs)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,13 +11,12 @@ import numpy.typing as npt
 from ..case.case import Case, CaseError
 from ..case.control_schema import Control, control_model, control_numbers
 from ..devices.c_expression import given_rows
-from ..devices.language.device import AT_BUS, KINDS, OF_CONVERTER, OF_MACHINE, OF_SVC
+from ..devices.language.device import AT_BUS, KINDS, OF_CONVERTER, OF_LINK, OF_MACHINE, OF_SVC
 from ..devices.language.expression import Node
 from ..devices.language.structure import Model
 from ..devices.rest import BEYOND, RestPoint, rest_of
 from ..errors import DeviceError
-from .coupling import BusPoint, Coupling, coupling_of, model_at_bus
-from .dc_link import LinkPoint
+from .coupling import AtRest, BusPoint, Coupling, coupling_of, model_at_bus
 from .machine_tables import NETWORK, MachinePoint, State
 
 SHORTEST_S = 1e-6  #: least value a time constant may be set to
@@ -70,7 +69,7 @@ class Device:
 
         These have several set-points, of which the plant would find only one anew.
         """
-        if self.word in (*OF_CONVERTER, "hvdc"):
+        if self.word in (*OF_CONVERTER, *OF_LINK):
             return
         instance = self.rest.instance
         device, used = instance.model.device, instance.used() - self._coupling_names()
@@ -183,7 +182,7 @@ class Controls:
                 result.append(Given(d.prefix.removesuffix(".exciter"), "vs", d.place))
             elif d.word in OF_CONVERTER:
                 result += [Given(d.prefix, "p_mod", d.place), Given(d.prefix, "q_mod", places + d.place)]
-            elif d.word == "hvdc":
+            elif d.word in OF_LINK:
                 result.append(Given(d.prefix, "p_mod", d.place))
             elif d.word in AT_BUS:
                 result.append(Given(d.prefix, modulation(d.key), d.place))
@@ -216,7 +215,7 @@ class Controls:
 
 
 def controls_at_rest(
-    case: Case, points: tuple[MachinePoint, ...], buses: tuple[BusPoint | LinkPoint, ...] = ()
+    case: Case, points: tuple[MachinePoint, ...], buses: tuple[AtRest, ...] = ()
 ) -> Controls:
     """Return the controls of `case` at rest with its machines at `points`, its devices at buses at `buses`.
 
@@ -240,7 +239,9 @@ def controls_at_rest(
         for c in case.converters
     ]
     inputs += [
-        {"vdr": network, "vdi": network, "p_mod": frozenset({f"{row.name}_p_mod"})} for row in case.hvdcs
+        dict.fromkeys(("vdr", "vdi", "v1", "p1", "v2", "p2"), network)
+        | {"p_mod": frozenset({f"{row.name}_p_mod"})}
+        for row in case.links
     ]
     for k, word, rest in starts:
         assert isinstance(rest, RestPoint)
@@ -276,7 +277,7 @@ def table_of(kind: str) -> str:
 def rests_of(
     case: Case,
     points: tuple[MachinePoint, ...],
-    buses: tuple[BusPoint | LinkPoint, ...] = (),
+    buses: tuple[AtRest, ...] = (),
     *,
     room: float = BEYOND,
 ) -> tuple[npt.NDArray[np.float64], list[tuple[int, str, RestPoint | Unrest]]]:
@@ -311,15 +312,22 @@ def rests_of(
             output, given = bus.output(kind, share), bus.given(kind, share)
         rest = _rest_of(model, numbers, given, output, who, row_at.name, "control", room)
         rests.append((k, kind, rest))
-        at = {"vt": bus.seen, "out": output}
-        if kind in OF_CONVERTER:  # where plant/flow/flow.h has them
-            at |= {"pe": given["p"], "ifd": given["q"]}
-            at |= {"vd": given.get("vr", 0.0), "vq": given.get("vi", 0.0)}
-        elif kind == "hvdc":
-            at |= {"pe": given["vdi"]}
-        for key, value in at.items():
+        for key, value in _seen_at_bus(kind, bus.seen, output, given).items():
             seen[SEEN.index(key), k] = value
     return seen, rests
+
+
+def _seen_at_bus(kind: str, volts: float, output: float, given: Mapping[str, float]) -> dict[str, float]:
+    """What a device at a bus sees at rest, where plant/flow/flow.h has it."""
+    at = {"vt": volts, "out": output}
+    if kind in OF_CONVERTER:
+        at |= {"pe": given["p"], "ifd": given["q"]}
+        at |= {"vd": given.get("vr", 0.0), "vq": given.get("vi", 0.0)}
+    elif kind == "hvdc":
+        at |= {"pe": given["vdi"]}
+    elif kind == "vsc":
+        at |= {"pe": given["p1"], "vd": given["v2"], "vq": given["p2"]}
+    return at
 
 
 def _rest(

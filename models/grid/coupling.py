@@ -16,15 +16,17 @@ import numpy.typing as npt
 from ..case.case import Case
 from ..case.hvdc_schema import Hvdc
 from ..case.schema import Converter, Svc
+from ..case.vsc_schema import Vsc
 from ..devices.instance import Instance
-from ..devices.language.device import KINDS, OF_CONVERTER, OF_SVC, Device
+from ..devices.language.device import KINDS, OF_CONVERTER, OF_LINK, OF_SVC, Device
 from ..devices.language.expression import evaluate
 from ..devices.language.structure import Model
 from ..devices.library import device_model
 from ..errors import DeviceError
-from .dc_link import LinkPoint, link_point, link_ports
+from .dc_link import LinkPoint, link_ports
+from .vsc_link import CONVERTER, VscPoint, point_of_link, vsc_ports
 
-NOTHING, SUSCEPTANCE, CURRENT, CONVERTER, SOURCE = 0, 1, 2, 3, 6  #: CouplingKind
+NOTHING, SUSCEPTANCE, CURRENT, SOURCE = 0, 1, 2, 6  #: CouplingKind, beside CONVERTER
 COUPLINGS = {"svc": SUSCEPTANCE, "statcom": CURRENT, "converter": CONVERTER, "source": SOURCE}
 LOW_PU = 0.1  #: below, a current falls with the voltage: one that holds at zero volts has no solution
 _STATES = ("lag", "integrator")  #: elements whose output is a state
@@ -82,9 +84,12 @@ class Coupling:
     values: Mapping[str, float] = field(default_factory=dict)  #: of a dc link or source: those of its device
 
 
-def model_at_bus(row: Svc | Converter | Hvdc, own: Mapping[str, Model]) -> Model:
+AtRest = BusPoint | LinkPoint | VscPoint  #: a device at a bus, or between two, at rest
+
+
+def model_at_bus(row: Svc | Converter | Hvdc | Vsc, own: Mapping[str, Model]) -> Model:
     """Return the device of a row; DeviceError where there is none of that name."""
-    kinds = OF_SVC if isinstance(row, Svc) else OF_CONVERTER if isinstance(row, Converter) else "hvdc"
+    kinds = OF_SVC if isinstance(row, Svc) else OF_CONVERTER if isinstance(row, Converter) else OF_LINK
     return device_model(row.control.kind, kinds, own)
 
 
@@ -153,7 +158,7 @@ def coupling_of(instance: Instance) -> Coupling:
             raise DeviceError(
                 f"{device.name}: {name} is a lag without time, but sets a current; give it a time above 0"
             )
-    if device.kind == "hvdc":
+    if device.kind in OF_LINK:
         return Coupling(state, 1.0, 0.0, values=instance.values)
     if device.kind == "source":
         return Coupling(state, 1.0, 0.0, states[1], values=instance.values)
@@ -202,6 +207,11 @@ def device_ports(
             places = index[svc.rectifier_bus], index[svc.inverter_bus]
             rows += link_ports(svc, k, places, states, c.values, at_rest, share, LOW_PU)
             continue
+        if isinstance(svc, Vsc):
+            states = {name: state_names.index(f"{svc.name}.{name}") for name in ("ip1", "iq1", "ip2", "iq2")}
+            places, numbers = (index[svc.from_bus], index[svc.to_bus]), [LOW_PU, *c.gain, *c.taken]
+            rows += vsc_ports(k, places, states, at_rest, share, numbers)
+            continue
         state = state_names.index(f"{svc.name}.{c.state}")
         output = share * at_rest[KINDS[kind].output]
         row = [state, share * c.scale, share * c.bias, COUPLINGS[kind], output]
@@ -221,7 +231,7 @@ def device_ports(
 
 def bus_points(
     case: Case, power: npt.NDArray[np.complex128], voltages: npt.NDArray[np.complex128]
-) -> tuple[BusPoint | LinkPoint, ...]:
+) -> tuple[AtRest, ...]:
     """Return the devices at buses at rest.
 
     power : P + jQ of each into the network, pu; voltages : (buses,).
@@ -229,8 +239,8 @@ def bus_points(
     index = {bus.number: k for k, bus in enumerate(case.buses)}
     size = np.abs(voltages)
     return tuple(
-        link_point(s, float(size[index[s.bus]]), float(size[index[s.seen_bus]]))
-        if isinstance(s, Hvdc)
+        point_of_link(s, float(size[index[s.bus]]), float(size[index[s.seen_bus]]))
+        if isinstance(s, (Hvdc, Vsc))
         else BusPoint(
             float(size[index[s.seen_bus]]),
             float(size[index[s.bus]]),

@@ -15,8 +15,7 @@ from ..case.checks import require_dynamics
 from ..case.schema import Machine
 from .bus_devices import AirGap, air_gap, has_port, port_loads, saturation_factor, saturation_of
 from .control_tables import Controls, controls_at_rest
-from .coupling import BusPoint, bus_points
-from .dc_link import LinkPoint
+from .coupling import AtRest, bus_points
 from .machine_tables import NETWORK, MachinePoint, State
 from .network import bus_index, load_power, machine_bus_index, machine_norton_admittance, sparse_admittance
 from .powerflow import PowerFlow, solve_powerflow, with_nodes
@@ -93,7 +92,7 @@ def machine_points(
     tuple[MachinePoint, ...],
     npt.NDArray[np.float64],
     tuple[AirGap | None, ...],
-    tuple[BusPoint | LinkPoint, ...],
+    tuple[AtRest, ...],
 ]:
     """Return the machines at rest, the loads' volts, the machines' air gaps and the devices at buses, without
     any control.
@@ -161,7 +160,7 @@ def _network(
     index, loads = bus_index(case), len(case.loads)
     rows = (*case.loads, *case.at_buses)
     at = np.array(
-        [index[row.bus] for row in rows] + [index[row.inverter_bus] for row in case.hvdcs], dtype=np.int64
+        [index[row.bus] for row in rows] + [index[row.seen_bus] for row in case.links], dtype=np.int64
     )
     volts = np.abs(power_flow.voltages[at])
     ports = [*port_loads(case), *range(loads, len(at))]
@@ -263,7 +262,7 @@ def _assemble(
     points: tuple[MachinePoint, ...],
     load_volts: npt.NDArray[np.float64],
     gaps: tuple[AirGap | None, ...],
-    buses: tuple[BusPoint | LinkPoint, ...],
+    buses: tuple[AtRest, ...],
 ) -> OperatingPoint:
     controls = controls_at_rest(case, points, buses)
     states = _machine_states(case, points, controls.outputs("exciter"), controls.outputs("governor"))

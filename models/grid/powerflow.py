@@ -11,10 +11,13 @@ import numpy.typing as npt
 
 from ..case.case import Case, CaseError
 from ..case.checks import islands_of
-from .dc_link import LinkPoint, link_point, require_link
+from ..case.hvdc_schema import Hvdc
+from ..case.vsc_schema import Vsc
+from .dc_link import LinkPoint, require_link
 from .network import ComplexArray, branch_stamp, bus_index, load_power, machine_bus_index, sparse_admittance
 from .newton import Iterate, newton
 from .series import compensated, node_voltages, series_nodes, without_series_nodes
+from .vsc_link import VscPoint, point_of_link, require_lines, require_vsc
 
 TOLERANCE_PU = 1e-10
 _REPETITIONS = 60  #: of a power flow with dc links; each brings their voltages about a digit closer
@@ -40,9 +43,9 @@ class PowerFlow:
     injections: ComplexArray  #: (buses,) generation less load, shunts belong to the network
     generation: ComplexArray  #: (machines,) P + jQ of each machine
     at_buses: (
-        ComplexArray  #: (devices at buses,) P + jQ of each into the network, of a dc link at its rectifier
+        ComplexArray  #: (devices at buses,) P + jQ of each into the network, of a dc link at its first end
     )
-    inverters: ComplexArray  #: (dc links,) P + jQ of each into the network at its inverter
+    inverters: ComplexArray  #: (dc links,) P + jQ of each into the network at its inverter or second end
     iterations: int
     mismatch_pu: float  #: largest |P| or |Q| mismatch left
 
@@ -125,24 +128,33 @@ def solve_powerflow(case: Case) -> PowerFlow:
             else {b.number: complex(v) for b, v in zip(case.buses, best.voltages, strict=True)}
         )
         raise PowerFlowError(_no_convergence(case, best, free_angle, free_magnitude), voltages=retained)
-    for row, point in zip(case.hvdcs, links, strict=True):
-        require_link(case, row, point, float(np.abs(best.voltages[bus_index(case)[row.rectifier_bus]])))
+    _require_links(case, best, links)
     return _solved(case, best, load, slack, links)
+
+
+def _require_links(case: Case, best: Iterate, links: list[LinkPoint | VscPoint]) -> None:
+    """Refuse dc links that cannot rest there; CaseError."""
+    for row, point in zip(case.links, links, strict=True):
+        if isinstance(row, Vsc) and isinstance(point, VscPoint):
+            require_vsc(case, row, point)
+        elif isinstance(row, Hvdc) and isinstance(point, LinkPoint):
+            require_link(case, row, point, float(np.abs(best.voltages[bus_index(case)[row.bus]])))
 
 
 def _repeated(
     case: Case, Y: Any, start: ComplexArray, scheduled: ComplexArray, free_angle: Any, free_magnitude: Any
-) -> tuple[Iterate | None, list[LinkPoint]]:
+) -> tuple[Iterate | None, list[LinkPoint | VscPoint]]:
     """Newton's method with the dc links at the voltages before, until these stand."""
-    links: list[LinkPoint] = []
-    if not case.hvdcs:
+    links: list[LinkPoint | VscPoint] = []
+    if not case.links:
         return newton(Y, start, scheduled, free_angle, free_magnitude, tolerance_pu=TOLERANCE_PU), links
     index, best, moved = bus_index(case), None, np.inf
-    at = np.array([[index[row.rectifier_bus], index[row.inverter_bus]] for row in case.hvdcs])
-    share = np.array([[row.base_mva / case.base_mva] for row in case.hvdcs])
+    require_lines(case)
+    at = np.array([[index[row.bus], index[row.seen_bus]] for row in case.links])
+    share = np.array([[row.base_mva / case.base_mva] for row in case.links])
     for _ in range(_REPETITIONS):
         size = np.abs(start)[at]
-        links = [link_point(row, *map(float, of)) for row, of in zip(case.hvdcs, size, strict=True)]
+        links = [point_of_link(row, *map(float, of)) for row, of in zip(case.links, size, strict=True)]
         slope = share * np.array([link.slope for link in links])
         constant, linear = scheduled.astype(complex), np.zeros(len(start), dtype=complex)
         np.add.at(constant, at, share * np.array([link.power for link in links]) - slope * size)
@@ -237,21 +249,25 @@ def _no_convergence(
 
 
 def _solved(
-    case: Case, best: Iterate, load: ComplexArray, slack: npt.NDArray[np.int_], links: list[LinkPoint]
+    case: Case,
+    best: Iterate,
+    load: ComplexArray,
+    slack: npt.NDArray[np.int_],
+    links: list[LinkPoint | VscPoint],
 ) -> PowerFlow:
     V = best.voltages
     injections: ComplexArray = V * np.conj(sparse_admittance(case) @ V)
     ends = np.array(
         [
             [s * row.base_mva / case.base_mva for s in link.power]
-            for row, link in zip(case.hvdcs, links, strict=True)
+            for row, link in zip(case.links, links, strict=True)
         ],
         dtype=complex,
     ).reshape(-1, 2)
     index = bus_index(case)
     at_bus = injections + load
-    for row, of in zip(case.hvdcs, ends, strict=True):
-        at_bus[[index[row.rectifier_bus], index[row.inverter_bus]]] -= of
+    for row, of in zip(case.links, ends, strict=True):
+        at_bus[[index[row.bus], index[row.seen_bus]]] -= of
     machine_bus = machine_bus_index(case)
     rating = np.array([m.base_mva for m in case.machines])
     total = np.zeros(len(V))

@@ -105,8 +105,8 @@ def require_off_limits(case: Case) -> None:
     CaseError : which signal, its limit, its distance, and what to do; as `start_of`.
     """
     lines = {row.name for row in case.tcscs}
-    links = {row.name for row in case.hvdcs}
-    at_buses = {svc.name for svc in case.svcs} | lines | links
+    links, vscs = {row.name for row in case.hvdcs}, {row.name for row in case.vscs}
+    at_buses = {svc.name for svc in case.svcs} | lines | links | vscs
     for item in start_of(case).margins if at_buses else ():
         m = item.margin
         if item.control in at_buses and item.at_limit:
@@ -115,6 +115,8 @@ def require_off_limits(case: Case) -> None:
                 table, limit, elsewhere = "tcscs", f"x_{limit[1:].lower()}_pu", "x0_pu"
             elif item.control in links:
                 table, limit, elsewhere = "hvdcs", LINK_LIMITS.get(limit, limit), "gamma_deg, idc_ka or P_mw"
+            elif item.control in vscs:
+                table, elsewhere = "vscs", "P_mw, from_q_mvar, to_q_mvar"
             raise CaseError(
                 f"{case.name}: {table}.{item.control}: {m.signal} ({m.text}) rests at {m.value:.6g}, "
                 f"{max(m.least, 0.0):.1g} from its limit {limit}; there it acts to one side only, so a "
@@ -131,7 +133,7 @@ def release_limits(case: Case, power_flow: PowerFlow | None = None) -> tuple[Cas
     """
     original, (case, power_flow) = case, _as_plant(case, power_flow)
     # these rest within their limits, or there is no case
-    within = {row.name for row in case.tcscs} | {row.name for row in case.hvdcs}
+    within = {row.name for row in (*case.tcscs, *case.links)}
     points, _, _, buses = machine_points(case, power_flow)
     change: dict[str, dict[str, dict[str, dict[str, float]]]] = {}
     messages: list[str] = []

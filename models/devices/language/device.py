@@ -99,6 +99,19 @@ KINDS: dict[str, Kind] = {
         ("e",),
         ("Re", "Xe", "Imax"),
     ),
+    "vsc": Kind(
+        {
+            "v1": "voltage of the bus of its first end, pu",
+            "p1": "active power into the network there, pu of its base",
+            "v2": "voltage of the bus of its second end, pu",
+            "p2": "active power into the network there, pu of its base",
+            "p_mod": "modulation of the power from the first end to the second, pu of its base",
+        },
+        "ip1",
+        ("pset",),
+        "active and reactive currents `ip1`, `iq1`, `ip2`, `iq2` of both ends of a dc link, pu of its base",
+        ("iq1", "ip2", "iq2"),
+    ),
 }
 AT_BUS = (
     "svc",
@@ -106,8 +119,10 @@ AT_BUS = (
     "converter",
     "hvdc",
     "source",
+    "vsc",
 )  #: kinds of devices at a bus; the others belong to a machine
 OF_SVC = ("svc", "statcom")  #: kinds of the table svcs
+OF_LINK = ("hvdc", "vsc")  #: kinds of devices between two buses
 OF_CONVERTER = ("converter", "source")  #: kinds of the table converters
 OF_MACHINE = tuple(kind for kind in KINDS if kind not in AT_BUS)
 MBASE = "MBASE"  #: MVA base of the machine or of the device at a bus, known to every device

@@ -201,11 +201,14 @@ static void see_voltages(const real *memory, const Plan *plan, const num *x, Wor
             *(coupling == COUPLING_RECTIFIER ? &w->vt[at] : &w->pe[at]) = dc_link_voltage(row, x, v);
             continue;
         }
-        w->vt[at] = v;
+        const int far = coupling == COUPLING_CONVERTER && index_at(row, P_FAR) == 1;
+        *(far ? &w->vd[at] : &w->vt[at]) = v;
         if (coupling != COUPLING_CONVERTER && coupling != COUPLING_SOURCE) continue;
-        bus_device_power(row, x, w->sine[at], w->cosine[at], w->port.v_re[p], w->port.v_im[p], &w->pe[at], &w->ifd[at]);
-        w->pe[at] = num_ratio(w->pe[at], NUM(row[P_SCALE]));
-        w->ifd[at] = num_ratio(w->ifd[at], NUM(row[P_SCALE]));
+        num active, reactive;
+        bus_device_power(row, x, w->sine[at], w->cosine[at], w->port.v_re[p], w->port.v_im[p], &active, &reactive);
+        *(far ? &w->vq[at] : &w->pe[at]) = num_ratio(active, NUM(row[P_SCALE]));
+        if (far) continue;
+        w->ifd[at] = num_ratio(reactive, NUM(row[P_SCALE]));
         if (coupling == COUPLING_CONVERTER && index_at(row, P_DIRECTION) == 1) see_direction(memory, plan, p, at, v, w);
     }
 }
@@ -319,7 +322,8 @@ static void solve_devices(const real *memory, const Plan *plan, const num *x, co
     const Machines machines = machines_of(memory, plan, x, w);
     const DeviceSignals signals = { w->vt, w->vd, w->vq, w->id, w->iq, w->pe, machines.x.slip, w->ifd,
                                     memory + plan->pm_step, w->vc, w->vs, w->pm, w->efd, w->out, w->out, w->out,
-                                    w->out, w->out, w->pe, w->ifd, w->vs, w->vc, w->vt, w->pe, w->vd, w->vq };
+                                    w->out, w->out, w->out, w->pe, w->ifd, w->vs, w->vc, w->vt, w->pe, w->vd, w->vq,
+                                    w->vt, w->pe, w->vd, w->vq };
 
     for (size_t k = 0; k < n; ++k) {
         w->efd[k] = NUM(table[M_EFD0 * n + k]);

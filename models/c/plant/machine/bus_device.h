@@ -8,6 +8,7 @@
  *     current (STATCOM)       I = -j y V/u,   u = max(|V|, P_LOW)
  *     converter (REGC_A)      I = (g(|V|) ip - j (iq - h(|V|))) V/u, ip and iq two states times scale: g rises from
  *                             0 at P_ZERO to 1 at P_FULL, h by P_TAKEN above P_HIGH, where iq - h stops at P_LEAST
+ *                             of a dc link with such converters both ends, the second with P_FAR
  *     rectifier, inverter     the ends of a dc link (dc_link.h)
  *     source (REGFM_A1)       I = (E - V)/(R + jX), E by two states, its angle and its size; beyond P_MOST that much
  *                             of it, as if E moved to V + (R + jX) I

@@ -107,7 +107,7 @@ def test_an_input_reaches_its_own_plant(plants: PlantLanes) -> None:
 WITH_DEVICES = """
 base = "two-area-thesis"
 name = "devices"
-title = "two areas with converters, an SVC, a series capacitor and a dc link"
+title = "two areas with converters, an SVC, a series capacitor and both kinds of dc links"
 source = "test"
 [change.svcs]
 svc1 = { bus = 8, base_mva = 200.0, V_pu = 0.97, control = { kind = "svc", K = 20.0, TR = 0.05 } }
@@ -130,21 +130,26 @@ rectifier_xc_ohm = 6.0
 inverter_xc_ohm = 5.0
 r_ohm = 10.0
 l_mh = 800.0
+[change.vscs]
+vsc1 = { from_bus = 7, to_bus = 9, base_mva = 60.0, vdc_kv = 300.0, P_mw = 50.0, r_ohm = 9.0, to_keeps = "v" }
 """
 
 
 def test_devices_at_buses_have_the_same_bits_in_lanes(cache: Path, tmp_path: Path) -> None:
-    """An SVC, a series capacitor, both kinds of converters and a dc link through a fault; most lose some."""
+    """SVC, series capacitor, both kinds of converters and of dc links through a fault; most lose some."""
     path = tmp_path / "devices.toml"
     path.write_text(WITH_DEVICES)
     case = load_case(path)
     fault = {"kind": "bus_fault", "bus": 9, "start_s": 0.1, "end_s": 0.2, "x_pu": 0.05}
     lost = [[], [{"kind": "device_trip", "device": name, "start_s": 0.25} for name in ("pv1", "hvdc1")]]
     lost.append(
-        [{"kind": "device_trip", "device": name, "start_s": 0.3} for name in ("svc1", "tcsc1", "gfm1")]
+        [
+            {"kind": "device_trip", "device": name, "start_s": 0.3}
+            for name in ("svc1", "tcsc1", "gfm1", "vsc1")
+        ]
     )
     rows = [event_parameters(case, events_of([fault, *lost[k % 3]], where="test")) for k in range(5)]
-    plants = PlantLanes(case, cache, more=["svc1.*", "pv1.*", "gfm1*", "tcsc1.*", "hvdc1.*"])
+    plants = PlantLanes(case, cache, more=["svc1.*", "pv1.*", "gfm1*", "tcsc1.*", "hvdc1.*", "vsc1.*"])
     alone = plants.run(rows, stop_s=0.6, lanes=1)
     assert np.all(np.isfinite(alone.outputs)) and not any(alone.errors)
     assert np.all(alone.of("pv1.p")[-1, [1, 4]] == 0.0) and np.all(alone.of("pv1.p")[-1, [0, 2, 3]] > 0.5)
@@ -153,6 +158,7 @@ def test_devices_at_buses_have_the_same_bits_in_lanes(cache: Path, tmp_path: Pat
     ends = alone.of("hvdc1.p_inverter")[-1]
     assert np.all(ends[[1, 4]] == 0.0) and np.all(ends[[0, 2, 3]] > 0.5)
     assert np.ptp(alone.of("tcsc1.i")[-1]) > 0.1
+    assert alone.of("vsc1.p_to")[-1, 2] == 0.0 and np.all(alone.of("vsc1.p_to")[-1, [0, 1, 3, 4]] > 0.3)
     for lanes in (2, 4, 8):
         if lanes <= plants.group.lanes:
             beside = plants.run(rows, stop_s=0.6, lanes=lanes)

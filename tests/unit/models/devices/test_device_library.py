@@ -22,7 +22,7 @@ PLANT = Path(__import__("interarea.models").models.__file__).parent / "c" / "pla
 #: one operating point of a machine; the phasors fit vt, and pe = vd id + vq iq
 SEEN = {"vt": 1.0, "vd": 0.6, "vq": 0.8, "id": 0.7, "iq": 0.5, "pe": 0.82, "slip": 0.0, "ifd": 1.9}
 SEEN |= {"vc": 1.0, "vs": 0.0, "pm": 0.82, "p": 0.4, "q": 0.1, "p_mod": 0.0, "q_mod": 0.0}
-SEEN |= {"vdr": 1.04, "vdi": 1.0, "vr": 0.8, "vi": 0.6}
+SEEN |= {"vdr": 1.04, "vdi": 1.0, "vr": 0.8, "vi": 0.6, "v1": 1.0, "p1": -0.5, "v2": 1.0, "p2": 0.5}
 OUTPUT = {
     "exciter": 1.8,
     "governor": 0.82,
@@ -31,6 +31,7 @@ OUTPUT = {
     "converter": 0.4,
     "hvdc": 1.0,
     "source": 0.3,
+    "vsc": -0.5,
 }
 
 #: fields of a typical record; public data and the examples of the standards
@@ -105,6 +106,7 @@ OWN = {
     "statcom": {"KR": 50.0},
     "tcsc": {"T": 0.02},
     "lcc": {"R": 0.04, "L": 0.01},
+    "vsc": {"KEEPV1": 1.0, "PFIRST2": 0.0},
     "static": {"KA": 200.0, "TA": 0.02, "TR": 0.01, "Efd_min": -4.0, "Efd_max": 4.0},
     "static_tgr": {"KA": 200.0, "TA": 0.02, "TR": 0.01, "TC": 1.0, "TB": 10.0},
     "st1a": {"KA": 200.0, "TA": 0.02, "TR": 0.01, "TC": 1.0, "TB": 10.0, "VRmin": -4, "VRmax": 4, "KC": 0.1},
@@ -148,6 +150,7 @@ def at_rest(name):
     inputs |= {"iq": SEEN["q"]} if kind == "converter" else {}
     inputs |= {"iord": 1.0, "xr": 0.3, "xi": 0.3} if kind == "hvdc" else {}
     inputs |= {"e": 1.05} if kind == "source" else {}
+    inputs |= {"iq1": 0.1, "ip2": 0.5, "iq2": 0.1} if kind == "vsc" else {}
     output = OUTPUT.get(kind) if model.device.references else None
     return rest_of(model, complete(model, given), inputs, output, name), inputs
 
@@ -246,8 +249,8 @@ double hold(size_t device, size_t n, uint64_t has, double *table, const double *
 #: members of DeviceSignals, in the order of elements.h
 MEMBERS = (
     *("vt", "vd", "vq", "id", "iq", "pe", "slip", "ifd", "pref_step", "vc", "vs", "pm", "efd"),
-    *("b", "i", "ip", "idc", "delta", "p", "q", "p_mod", "q_mod", "vdr", "vdi"),
-    *("vr", "vi"),
+    *("b", "i", "ip", "idc", "delta", "ip1", "p", "q", "p_mod", "q_mod", "vdr", "vdi"),
+    *("vr", "vi", "v1", "p1", "v2", "p2"),
 )
 
 

@@ -1,0 +1,112 @@
+"""The row of a dc link with voltage-source converters."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from .control_schema import Control, NonNegative, Number, Positive, Row
+from .schema import BusNumber
+
+Keeps = Literal["q", "v"]
+Priority = Literal["p", "q"]
+Energy = Annotated[float, Field(strict=True, ge=0.005, le=1.0)]
+FullFrom = Annotated[float, Field(strict=True, gt=0.0, le=0.95)]
+
+
+class Vsc(Row):
+    """A dc link with voltage-source converters: one end keeps its power, the other the dc voltage.
+
+    In the power flow it takes `P_mw` at `from_bus` and gives there what the line and both converters leave of
+    it at `to_bus`, with the reactive power of each end; dc voltage and `vdc_kv` are the same at `to_bus`.
+    """
+
+    name: Annotated[str, Field(strict=True, max_length=64, pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]  #: its id
+    from_bus: BusNumber  #: number of the bus whose end keeps its power
+    to_bus: BusNumber  #: number of the bus whose end keeps the dc voltage
+    base_mva: Positive  #: rated power, base of its per-unit values with `vdc_kv`
+    vdc_kv: Positive  #: rated dc voltage, between the poles, which it has at rest
+    P_mw: Number  #: from the network at `from_bus` into the link; below 0 the other way
+    from_q_mvar: Number = 0.0  #: reactive power into the network at `from_bus`
+    to_q_mvar: Number = 0.0  #: the same at `to_bus`
+    r_ohm: NonNegative  #: resistance of the line, both poles
+    energy_s: Energy = 0.03  #: of all dc capacitors at rated dc voltage, MJ by MVA of `base_mva`
+    from_keeps: Keeps = "q"  #: in a run, at `from_bus`: "q" the reactive power, "v" the voltage it rests at
+    to_keeps: Keeps = "q"  #: the same at `to_bus`
+    from_i_max_pu: Positive = 1.1  #: largest current at `from_bus`
+    to_i_max_pu: Positive = 1.1  #: the same at `to_bus`
+    from_priority: Priority = "p"  #: which current is kept there at the limit: "p" the active, "q" the other
+    to_priority: Priority = "p"  #: the same at `to_bus`
+    from_loss_mw: NonNegative = 0.0  #: of the converter there
+    to_loss_mw: NonNegative = 0.0  #: of the converter at `to_bus`
+    p_mod_pu: Positive = 0.1  #: largest modulation, either sign
+    t_voltage_s: NonNegative = 0.01  #: measurement of the ac voltages
+    t_current_s: Annotated[float, Field(strict=True, ge=0.001, le=1.0)] = 0.01  #: current control
+    vdc_gain: Positive = 3.0  #: of the active current at `to_bus`, pu by pu of dc voltage
+    vdc_integral: Positive = 50.0  #: of it, pu/s by pu of dc voltage
+    v_gain: NonNegative = 1.0  #: of the reactive current where the voltage is kept, pu by pu
+    v_integral: Positive = 20.0  #: of it, pu/s by pu
+    chopper_pu: Annotated[float, Field(strict=True, gt=1.0)] = 1.1  #: dc voltage above which a chopper takes
+    chopper_gain: NonNegative = 10.0  #: its current by the dc voltage beyond; 0: there is none
+    vdc_low_pu: NonNegative = 0.6  #: dc voltage at and below which `from_bus` takes no power out of the link
+    vdc_full_pu: FullFrom = 0.8  #: from which on it may take all; between them a straight line
+
+    @model_validator(mode="after")
+    def _two_ends(self) -> Self:
+        if self.from_bus == self.to_bus:
+            raise ValueError(f"from_bus = to_bus = {self.from_bus}, allowed: two buses")
+        if not self.vdc_low_pu < self.vdc_full_pu:
+            raise ValueError(
+                f"vdc_low_pu = {self.vdc_low_pu:g} with vdc_full_pu = {self.vdc_full_pu:g}, allowed: "
+                "vdc_low_pu < vdc_full_pu"
+            )
+        return self
+
+    @property
+    def V_pu(self) -> None:
+        """None: the power flow lets the voltages of its buses free."""
+        return None
+
+    @property
+    def bus(self) -> int:
+        """Number of the bus of the end that keeps its power."""
+        return self.from_bus
+
+    @property
+    def seen_bus(self) -> int:
+        """Number of the bus of its other end."""
+        return self.to_bus
+
+    @property
+    def base_ohm(self) -> float:
+        """Base of its resistances."""
+        return self.vdc_kv**2 / self.base_mva
+
+    @property
+    def control(self) -> Control:
+        """Its device with all values, per unit and s."""
+        values = {
+            "PFIRST1": float(self.from_priority == "p"),
+            "PFIRST2": float(self.to_priority == "p"),
+            "KEEPV1": float(self.from_keeps == "v"),
+            "KEEPV2": float(self.to_keeps == "v"),
+            "IMAX1": self.from_i_max_pu,
+            "IMAX2": self.to_i_max_pu,
+            "LOSS1": self.from_loss_mw / self.base_mva,
+            "LOSS2": self.to_loss_mw / self.base_mva,
+            "TV": self.t_voltage_s,
+            "TI": self.t_current_s,
+            "PMOD": self.p_mod_pu,
+            "KPD": self.vdc_gain,
+            "KID": self.vdc_integral,
+            "KPV": self.v_gain,
+            "KIV": self.v_integral,
+            "R": self.r_ohm / self.base_ohm,
+            "C": 2.0 * self.energy_s,
+            "CHOP": self.chopper_gain,
+            "VCHOP": self.chopper_pu,
+            "VLOW": self.vdc_low_pu,
+            "VFULL": self.vdc_full_pu,
+        }
+        return Control(kind="vsc", **values)  # type: ignore[arg-type]
