@@ -28,7 +28,7 @@ def main(names: Sequence[str]) -> int:
             return 2
         latency_s = table.acceptance.latency_s[0]
         loops, unstable = 0, 0
-        for point, case in family_cases(table).items():
+        for point, case in table.acceptance.looked_at(family_cases(table)).items():
             here = FaultLoops(case, controller, default_cache())
             for fault in table.acceptance.fault:
                 alone = here.end(fault.trip, controlled=False)

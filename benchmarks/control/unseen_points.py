@@ -180,7 +180,7 @@ def faults(name: str, cache: Path, parameters: bool) -> None:
         there = {branch.name for branch in case.branches}
         places = [*table.acceptance.fault, *PLACES.get(table.grid.name, ())]
         places = [place for place in places if place.trip is None or place.trip in there]
-        acceptance = table.acceptance.model_copy(update={"fault": tuple(places)})
+        acceptance = table.acceptance.model_copy(update={"fault": tuple(places), "points": ()})
         verdict = judge_acceptance(controller, {point: case}, acceptance, cache, clearing=False)
         count, lost, gained = count + verdict.cases, lost + len(verdict.lost), gained + len(verdict.gained)
         print(

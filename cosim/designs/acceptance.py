@@ -52,6 +52,8 @@ class AcceptanceTable(Table):
     """
 
     fault: tuple[FaultPlace, ...] = Field(min_length=1)  #: the faults, each tried at every operating point
+    #: operating points at which they are tried; none: all of the design. A certificate names the others
+    points: tuple[str, ...] = ()
     #: (least, most) field voltage of every exciter that has limits, pu; as the case has them too
     ceilings: tuple[tuple[float, float], ...] = ()
     #: exponents of P and Q of every load, such as 1 and 2: P of constant current, Q of constant impedance; as
@@ -69,6 +71,15 @@ class AcceptanceTable(Table):
     x_pu: Positive = 1e-4  #: reactance of the fault to earth
     longest_cycles: Positive = 30.0  #: clearing times are searched from 1 cycle to this
     resolution_cycles: Positive = 0.15  #: how finely a clearing time is searched
+
+    def check(self, points: Sequence[str]) -> None:
+        """Raise ValueError where `points` of the table names what is no operating point of the design."""
+        if strange := sorted(set(self.points) - set(points)):
+            raise ValueError(f"acceptance.points names {strange}; the design's are {sorted(points)}")
+
+    def looked_at(self, cases: Mapping[str, Case]) -> dict[str, Case]:
+        """Return the operating points of `cases` at which faults are tried."""
+        return {point: case for point, case in cases.items() if not self.points or point in self.points}
 
 
 @dataclass(frozen=True)
@@ -116,8 +127,9 @@ class Acceptance:
     """What came out.
 
     lost : kept without control only. gained : kept with control only, and decaying. standing : kept, but
-    nothing that decays where it does without control, with verdict. loops : how many linear loops the faults
-    end in; unstable : those that are unstable and would be stable without control, with their root.
+    nothing that decays though it does, or loses synchronism, without control, with verdict. loops : how many
+    linear loops the faults end in; unstable : those that are unstable and would be stable without control,
+    with their root.
     """
 
     cases: int
@@ -137,7 +149,7 @@ class Acceptance:
         """What is held against the controller, each in words."""
         return (
             *(f"{case}: synchronism lost, kept without it" for case in self.lost),
-            *(f"{case}; decays without it" for case in self.standing),
+            *self.standing,
             *(f"linear loop {loop}, stable without it" for loop in self.unstable),
         )
 
@@ -271,11 +283,12 @@ def judge_acceptance(
     clearing: bool = True,
     progress: Callable[[float], object] = lambda share: None,
 ) -> Acceptance:
-    """Run every setting of `table` at every operating point, with the controller and without.
+    """Run every setting of `table` at its operating points, with the controller and without.
 
     clearing : search the clearing times too, at the first latency with the first signal lost.
     progress : called with the share of the operating points and ceilings that is done.
     """
+    cases = table.looked_at(cases)
     places = list(product(cases, (None, *table.ceilings), (None, *table.loads)))
     loops: dict[tuple[str, tuple[float, float] | None], FaultLoops] = {}
     collected = _Collected()
@@ -347,7 +360,8 @@ class _Collected:
                 elif run.stable and not without.synchronous:
                     self.gained.append(str(s))
                 elif run.synchronous and not run.stable and (without.stable or not without.synchronous):
-                    self.standing.append(f"{s}: {run.verdict}")
+                    alone_does = "decays" if without.stable else "synchronism lost"
+                    self.standing.append(f"{s}: {run.verdict}; {alone_does} without it")
 
     def take_loops(self, groups: Groups, ends: Mapping[Try, LoopEnd]) -> None:
         """Compare each linear loop with that without control."""

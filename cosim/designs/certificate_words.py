@@ -14,6 +14,7 @@ from ..scenario.names import CONTROLLER_NAMES
 
 if TYPE_CHECKING:
     from .acceptance import AcceptanceTable
+    from .design_tables import PointTable
 
 
 class Judging(Protocol):
@@ -22,7 +23,7 @@ class Judging(Protocol):
     @property
     def acceptance(self) -> AcceptanceTable | None: ...
     @property
-    def point(self) -> Sequence[object]: ...
+    def point(self) -> Sequence[PointTable]: ...
     def family(self) -> Sequence[Condition]: ...
 
 
@@ -58,10 +59,14 @@ def _faults_left_out(table: Judging, acceptance: Mapping[str, Any] | None) -> li
         return ["non-linear faults (the design names none)"]
     if acceptance is None:
         return ["non-linear faults (--acceptance runs them)"]
+    left_out = []
+    if table.acceptance.points:
+        others = [p.name for p in table.point if p.name not in table.acceptance.points]
+        left_out.append(f"non-linear faults at {', '.join(others)}")
     if acceptance["unsolved"]:
         places = ", ".join(acceptance["unsolved"])
-        return [f"linear loops after faults where no power flow is found ({places}: with the branch)"]
-    return []
+        left_out.append(f"linear loops after faults where no power flow is found ({places}: with the branch)")
+    return left_out
 
 
 def drive_in_words(drive: float, predicted: str, faults: Sequence[Mapping[str, Any]]) -> str:

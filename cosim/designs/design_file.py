@@ -69,7 +69,8 @@ class DesignTable(Table):
     #: polarity; joined by +
     conditions: tuple[str, ...] = Field(min_length=1)
     point: tuple[PointTable, ...] = Field(min_length=1)  #: the operating points, each a change to the case
-    washout_s: Annotated[float, Field(ge=0.0)] = 0.0  #: time constant of a washout at each output; 0: none
+    #: of a washout at each output; 0: none. With `dc_block`: no answer to a speed that rises steadily either
+    washout_s: Annotated[float, Field(ge=0.0)] = 0.0
     dc_block: bool = True  #: the controller does not answer a constant speed deviation
     feedthrough: bool = False  #: whether the controller may answer a signal at once
     slowest_pole: Positive = 0.3  #: bound from below of the magnitude of the controller's poles, rad/s
@@ -140,11 +141,15 @@ class DesignTable(Table):
         return tuple(part.actuator for part in self.part) or ((self.actuator,) if self.actuator else ())
 
     @model_validator(mode="after")
-    def _stages_agree(self) -> DesignTable:
-        known = {point.name for point in self.point}
+    def _points_agree(self) -> DesignTable:
+        known = [point.name for point in self.point]
         for k, stage in enumerate(self.stage, start=1):
-            if strange := sorted(set(stage.points) - known):
+            if strange := sorted(set(stage.points) - set(known)):
                 raise ValueError(f"stage {k} names the points {strange}; the design's are {sorted(known)}")
+        if self.acceptance is not None:
+            self.acceptance.check(known)
+        if self.first_swing is not None:
+            self.first_swing.check(known, self.acceptance)
         return self
 
     @model_validator(mode="after")
@@ -157,12 +162,6 @@ class DesignTable(Table):
             raise ValueError(f"gain_of names {strange}, allowed: {', '.join(self.signals)}")
         if self.bank is not None:
             self.bank.check(self.signals, self.guard)
-        return self
-
-    @model_validator(mode="after")
-    def _swing_has_faults(self) -> DesignTable:
-        if self.first_swing is not None:
-            self.first_swing.check([point.name for point in self.point], self.acceptance)
         return self
 
     @model_validator(mode="after")
@@ -354,6 +353,7 @@ def judge(
         worst_swing=table.ask.worst_swing,
         inter_area=table.ask.inter_area,
         targets={t.under: (t.worst_swing, t.inter_area) for t in table.target},
+        at={p.name: p.ask for p in table.point if p.ask is not None},
         effort_cap=table.ask.effort,
         fastest_pole=table.ask.fastest_pole,
         bands_hz={name: inter_area_band(each.modes) for name, each in plants.items()},

@@ -27,6 +27,9 @@ def _rising(nodes: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float]
 Offsets = Annotated[tuple[tuple[float, float], ...], AfterValidator(_rising)]
 
 
+Ratio = Annotated[float, Field(ge=-1.0, lt=1.0)]
+
+
 class PointTable(Table):
     """One operating point, as a change to the case (`models.case_variants`)."""
 
@@ -39,9 +42,9 @@ class PointTable(Table):
     vary: tuple[str, ...] = ()
     #: (rad/s, damping) wanted here on top of `offset` of the design; none: as much as elsewhere
     more: Offsets = ()
-
-
-Ratio = Annotated[float, Field(ge=-1.0, lt=1.0)]
+    #: (least damping ratio of any swing mode, of the inter-area mode) that the certificate asks here, instead
+    #: of what `ask` and `target` say
+    ask: tuple[Ratio, Ratio] | None = None
 
 
 class AskTable(Table):

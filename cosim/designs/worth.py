@@ -282,7 +282,7 @@ def clearing_change(table: DesignTable, controller: ControllerOrBank, cache: Pat
     requested = table.acceptance
     assert requested is not None
     changes: list[float] = []
-    for point, case in family_cases(table).items():
+    for point, case in requested.looked_at(family_cases(table)).items():
         pairs = [
             (alone, controlled[0])
             for alone, controlled in settings_of(requested, point, None, controller.inputs)

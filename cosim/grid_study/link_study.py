@@ -175,7 +175,11 @@ class _GridLinks:
         if own is not None:
             own = designs.best_own(sees[OWN], [own, *controllers.values()])
             rows.append(designs.row(OWN, sees[OWN], 0, own))
-        rows += [designs.row(name, sees[name], ms, K, own) for (name, ms), K in controllers.items()]
+        for name, ms in controllers:
+            # a search may end better for another latency: each row is that of the best of all
+            others = [K for (seen, at), K in controllers.items() if seen == name and at != ms]
+            best = designs.best(sees[name], ms, [controllers[name, ms], *others])
+            rows.append(designs.row(name, sees[name], ms, best, own))
         return LinkSet(chosen, tuple(rows), missing)
 
     def as_dict(self) -> dict[str, Any]:

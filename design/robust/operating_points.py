@@ -97,6 +97,7 @@ def judge_family(
     effort_cap: float = float("inf"),
     fastest_pole: float = float("inf"),
     targets: Mapping[str, tuple[float, float]] | None = None,
+    at: Mapping[str, tuple[float, float]] | None = None,
     bands_hz: Mapping[str, tuple[float, float]] | None = None,
     progress: Callable[[float], object] = lambda share: None,
 ) -> FamilyCertificate:
@@ -108,6 +109,7 @@ def judge_family(
     K : inputs named by signal (rad/s), outputs by actuator (pu), u = +K y.
     worst_swing, inter_area : damping ratios asked of every row.
     targets : condition, or kind of it ("all", "late", "lost", "scaled"), -> both, asked of its rows instead.
+    at : operating point -> both, asked of all its rows instead.
     effort_cap, fastest_pole : pu per rad/s, rad/s.
     bands_hz : operating point -> where its inter-area modes are (`inter_area_band`); default `INTER_AREA_HZ`.
     progress : called with the share of the rows that is done.
@@ -130,7 +132,7 @@ def judge_family(
     )
     violations = (
         *(f"{row.point}, {row.condition}: unstable" for row in rows if not row.stable),
-        *_short_of(rows, conditions, (worst_swing, inter_area), targets or {}),
+        *_short_at(rows, conditions, (worst_swing, inter_area), targets or {}, at),
         *(
             f"{name} is {value:.4g}, asked {own_requested}"
             for name, value, satisfied, own_requested in requested
@@ -154,6 +156,21 @@ def _effort(plant: JudgedPlant, K: control.StateSpace) -> float:
     return plant.effort(K) if isinstance(plant, LargePlant) else effort(plant, K)
 
 
+def _short_at(
+    rows: Sequence[FamilyRow],
+    conditions: Sequence[Condition],
+    asked: tuple[float, float],
+    targets: Mapping[str, tuple[float, float]],
+    at: Mapping[str, tuple[float, float]] | None,
+) -> Iterator[str]:
+    """Give what rows miss of what is asked of them: at the points of `at` of that, elsewhere of the rest."""
+    at = at or {}
+    yield from _short_of([row for row in rows if row.point not in at], conditions, asked, targets)
+    for point, here in at.items():
+        own = [row for row in rows if row.point == point]
+        yield from (f"{point}: {text}" for text in _short_of(own, conditions, here, {}))
+
+
 def _short_of(
     rows: Sequence[FamilyRow],
     conditions: Sequence[Condition],
@@ -164,6 +181,8 @@ def _short_of(
     under = {c.name: next((k for k in (c.name, c.kind) if k in targets), "") for c in conditions}
     for kind in dict.fromkeys(under.values()):
         selected = [row for row in rows if under[row.condition] == kind]
+        if not selected:
+            continue
         where = f" under {kind}" if kind in {c.name for c in conditions} else f" with signals {kind}"
         where = where if kind else ""
         requested = targets.get(kind, asked)

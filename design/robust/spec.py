@@ -83,11 +83,6 @@ def check_spec(spec: RobustSpec) -> None:
     ValueError
         Says which, and what is allowed.
     """
-    if spec.dc_block and spec.washout_s > 0.0:
-        raise ValueError(
-            f"robust design: dc_block and washout_s = {spec.washout_s:g} s both make K(0) = 0; "
-            "set dc_block = false or washout_s = 0"
-        )
     filters = int(spec.washout_s > 0.0)
     requested = [(who, order, filters) for who, (_, order) in spec.sees.items()]
     for who, order, least in requested or [("the controller", spec.order, filters * len(spec.actuators))]:

@@ -21,7 +21,7 @@ from interarea.cosim.designs.acceptance import (
     with_loads,
 )
 from interarea.cosim.designs.certificate_words import first_failures, kept_certificate, not_covered
-from interarea.cosim.designs.design_file import load_design
+from interarea.cosim.designs.design_file import design_of, load_design
 from interarea.cosim.designs.fault_loops import LONG_S, LONGEST_S, SLOW, FaultLoops, LoopEnd
 from interarea.cosim.designs.fault_runs import FaultRun
 from interarea.cosim.designs.first_swing import after_clearing
@@ -196,6 +196,23 @@ def test_what_a_certificate_leaves_out_is_said() -> None:
     own = table.model_copy(update={"acceptance": exempt})
     assert "the loss of G4_dw;" in not_covered(own, own.signals, record)
     assert "the design names none" in not_covered(load_design("robust_linear"), ("G2_dw", "G4_dw"), None)
+    somewhere = table.acceptance.model_copy(update={"points": ("base",)})
+    part = table.model_copy(update={"acceptance": somewhere})
+    others = ", ".join(point.name for point in table.point if point.name != "base")
+    assert not_covered(part, part.signals, record).startswith(f"non-linear faults at {others}; ")
+    assert list(somewhere.looked_at(dict.fromkeys(("base", "tie +100"), CASES["tie +100"]))) == ["base"]
+    keys = table.model_dump(mode="json", exclude_unset=True)
+    keys["acceptance"]["points"] = ["bsae"]
+    with pytest.raises(ScenarioError, match=r"acceptance.points names \['bsae'\]; the design's are \['base'"):
+        design_of(keys)
+
+
+@pytest.mark.slow
+def test_faults_are_run_at_the_points_that_are_named(cache: Path) -> None:
+    update = {"ceilings": (), "latency_s": (0.1,), "points": ("tie +100",)}
+    K, cases = shipped_controller("robust"), {"base": load_case("two-area-thesis"), **CASES}
+    acceptance = judge_acceptance(K, cases, TABLE.model_copy(update=update), cache, clearing=False)
+    assert (acceptance.cases, acceptance.violations) == (3, ())
 
 
 def test_a_signal_that_the_controller_lacks_cannot_be_exempt() -> None:

@@ -99,7 +99,6 @@ def test_an_order_above_the_plants_is_refused() -> None:
         ({"slowest_pole": 300.0}, "contradict each other"),
         ({"effort_cap": ((1.0, 0.0),)}, "a cap of 0 leaves no controller"),
         ({"effort_cap": ((1.0, 0.1), (0.5, 0.1))}, "rising"),
-        ({"washout_s": 2.0}, "both make K"),
         ({"washout_s": 2.0, "dc_block": False, "order": 1}, "at least 2 are needed"),
         ({"conditions": (Condition("x", ("G9_dw",)),)}, "names \\['G9_dw'\\]"),
     ],

@@ -145,7 +145,9 @@ def test_what_is_missed_is_named() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("rest", [{}, {"dc_block": False, "washout_s": 2.0, "feedthrough": True}])
+@pytest.mark.parametrize(
+    "rest", [{}, {"dc_block": False, "washout_s": 2.0, "feedthrough": True}, {"washout_s": 10.0}]
+)
 def test_a_small_design_raises_the_damping_of_every_model(rest: dict[str, Any]) -> None:
     plants = {"base": independent_plant()}
     conditions = tuple(condition_of(code, "G4_dw", "G2_dw") for code in ("N", "L"))
@@ -161,6 +163,9 @@ def test_a_small_design_raises_the_damping_of_every_model(rest: dict[str, Any]) 
     # the washout blocks a constant speed deviation
     at_rest = made.system.D - made.system.C @ np.linalg.solve(made.system.A, made.system.B)
     assert np.abs(at_rest).max() < 1e-12
+    if rest == {"washout_s": 10.0}:  # with what keeps K(0) = 0 the answer to a speed that rises steadily too
+        to_a_ramp = made.system.C @ np.linalg.solve(made.system.A @ made.system.A, made.system.B)
+        assert np.abs(to_a_ramp).max() < 1e-12
 
 
 @pytest.mark.slow

@@ -84,6 +84,14 @@ def test_each_kind_of_condition_is_asked_for_its_own_target() -> None:
         "inter-area damping with signals all is 0.15, asked >= 0.2",
         "inter-area damping with signals lost is 0.05, asked >= 0.06",
     ]
+    # a point that is asked for less, whatever the conditions: .05 where it is lost; one asked for more
+    two = {"base": plant["base"], "out": plant["base"]}
+    asked = {"worst_swing": 0.1, "inter_area": 0.1, "targets": {"lost": (0.04, 0.04)}}
+    certificate = judge_family(two, K, (NOW, LOST), at={"out": (0.04, 0.04)}, **asked)  # type: ignore[arg-type]
+    assert certificate.violations == ()
+    certificate = judge_family(two, K, (NOW, LOST), at={"out": (0.04, 0.06)}, **asked)  # type: ignore[arg-type]
+    (missed,) = certificate.violations
+    assert missed.startswith("out: inter-area damping is 0.05, asked >= 0.06: missed in 1 of 2")
 
 
 def test_a_scaled_signal_is_judged_and_asked_for_by_name() -> None:
