@@ -34,6 +34,7 @@ _TIGHT = re.compile(r"([:;,{}])\s+|\s+(?=\{)")  #: spaces and ends of lines that
 _OPERATOR = re.compile(r" (=>|[=!]==|&&|\|\|) ")  #: what no text of the scripts holds
 _KEYWORD = re.compile(r"^(if|for|while) \(")
 _BRACE = re.compile(r"(\)|=>) \{$")  #: what opens a block at the end of a line
+_OPEN = re.compile(r"([{,])\n")  #: behind what no statement ends with
 _STRICT = "'use strict';"
 _PAGE = ("link.js", "plots.js", "diagram.js", "controls.js", "page.js")
 
@@ -135,7 +136,8 @@ def _read(name: str) -> str:
 def _script(names: Sequence[str]) -> str:
     """Return files as one script, which is strict once."""
     first, *others = (_compact(_read(name)) for name in names)
-    return "\n".join([first, *(text.removeprefix(f"{_STRICT}\n") for text in others)])
+    whole = "\n".join([first, *(text.removeprefix(f"{_STRICT}\n") for text in others)])
+    return _OPEN.sub(r"\1", whole)
 
 
 def _compact(text: str) -> str:
