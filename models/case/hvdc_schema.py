@@ -7,13 +7,14 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from .control_schema import Control, NonNegative, Positive, Row
+from .control_schema import Control, NonNegative, Positive
+from .link_schema import DcLink
 from .schema import BusNumber
 
 Angle = Annotated[float, Field(strict=True, gt=0.0, lt=90.0)]  #: of a converter, deg
 
 
-class Hvdc(Row):
+class Hvdc(DcLink):
     """A dc link with line-commutated converters: a rectifier at one bus, an inverter at another.
 
     The inverter rests at `gamma_deg`, the rectifier at the angle that `idc_ka` or `P_mw` asks for. The
@@ -62,18 +63,14 @@ class Hvdc(Row):
         if (self.idc_ka is None) == (self.P_mw is None):
             got = "neither" if self.P_mw is None else "both"
             raise ValueError(f"{got} of idc_ka and P_mw, allowed: one, which the control keeps")
-        if self.rectifier_bus == self.inverter_bus:
-            raise ValueError(f"rectifier_bus = inverter_bus = {self.inverter_bus}, allowed: two buses")
-        for low, high in (
+        self._require_two("rectifier_bus", "inverter_bus")
+        self._require_below(
             ("alpha_min_deg", "alpha_max_deg"),
             ("gamma_min_deg", "gamma_max_deg"),
             ("i_min_pu", "i_max_pu"),
             ("vdcol_low_pu", "vdcol_high_pu"),
             ("vdcol_i_pu", "i_max_pu"),
-        ):
-            a, b = getattr(self, low), getattr(self, high)
-            if a is not None and not a < b:
-                raise ValueError(f"{low} = {a:g} with {high} = {b:g}, allowed: {low} < {high}")
+        )
         if not self.gamma_deg >= self.gamma_min_deg:
             raise ValueError(
                 f"gamma_deg = {self.gamma_deg:g} is below gamma_min_deg = {self.gamma_min_deg:g}: the "
@@ -87,11 +84,6 @@ class Hvdc(Row):
         return self
 
     @property
-    def V_pu(self) -> None:
-        """None: the power flow lets the voltages of its buses free."""
-        return None
-
-    @property
     def bus(self) -> int:
         """Number of the rectifier's bus."""
         return self.rectifier_bus
@@ -100,11 +92,6 @@ class Hvdc(Row):
     def seen_bus(self) -> int:
         """Number of the inverter's bus."""
         return self.inverter_bus
-
-    @property
-    def base_ohm(self) -> float:
-        """Base of its resistances."""
-        return self.vdc_kv**2 / self.base_mva
 
     @property
     def control(self) -> Control:

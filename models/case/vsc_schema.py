@@ -6,7 +6,8 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from .control_schema import Control, NonNegative, Number, Positive, Row
+from .control_schema import Control, NonNegative, Number, Positive
+from .link_schema import DcLink
 from .schema import BusNumber
 
 Keeps = Literal["q", "v"]
@@ -15,7 +16,7 @@ Energy = Annotated[float, Field(strict=True, ge=0.005, le=1.0)]
 FullFrom = Annotated[float, Field(strict=True, gt=0.0, le=0.95)]
 
 
-class Vsc(Row):
+class Vsc(DcLink):
     """A dc link with voltage-source converters: one end keeps its power, the other the dc voltage.
 
     In the power flow it takes `P_mw` at `from_bus` and gives there what the line and both converters leave of
@@ -54,19 +55,9 @@ class Vsc(Row):
 
     @model_validator(mode="after")
     def _two_ends(self) -> Self:
-        if self.from_bus == self.to_bus:
-            raise ValueError(f"from_bus = to_bus = {self.from_bus}, allowed: two buses")
-        if not self.vdc_low_pu < self.vdc_full_pu:
-            raise ValueError(
-                f"vdc_low_pu = {self.vdc_low_pu:g} with vdc_full_pu = {self.vdc_full_pu:g}, allowed: "
-                "vdc_low_pu < vdc_full_pu"
-            )
+        self._require_two("from_bus", "to_bus")
+        self._require_below(("vdc_low_pu", "vdc_full_pu"))
         return self
-
-    @property
-    def V_pu(self) -> None:
-        """None: the power flow lets the voltages of its buses free."""
-        return None
 
     @property
     def bus(self) -> int:
@@ -77,11 +68,6 @@ class Vsc(Row):
     def seen_bus(self) -> int:
         """Number of the bus of its other end."""
         return self.to_bus
-
-    @property
-    def base_ohm(self) -> float:
-        """Base of its resistances."""
-        return self.vdc_kv**2 / self.base_mva
 
     @property
     def control(self) -> Control:
