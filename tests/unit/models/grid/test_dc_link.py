@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from plant_shim import BlockShim
+from sparse_blocks import agreeing_blocks
 
 from interarea.cosim.run.artefacts import linear_matrices
-from interarea.design.linear.sparse_plant import sparse_plant
-from interarea.fmu_build.write.device_slopes import DeviceSlopes
 from interarea.models.blocks.plant import event_parameters, plant_block
 from interarea.models.case.case import load_case
 from interarea.models.case.events import events_of
@@ -215,15 +214,8 @@ def test_the_sparse_blocks_have_its_state_matrix(base):
     rows = {name: {k: v for k, v in one.items() if v != "none"} for name, one in row.items()}
     svc = {"svc1": {"bus": 8, "base_mva": 200.0, "V_pu": 0.97, "control": {"kind": "svc", "K": 10.0}}}
     case = in_plant_order(load_case(base).with_changes({"hvdcs": rows, "svcs": svc}))
-    block = plant_block(case)
-    plant = BlockShim(block)
-    blocks = sparse_plant(
-        DeviceSlopes(block, cache=default_cache()), block.data, solve_powerflow(case).voltages
-    )
-    A, B, _, _ = plant.jacobians()
-    assert np.max(np.abs(blocks.state_matrix() - A)) < 1e-9 * np.max(np.abs(A))
+    blocks, A, _ = agreeing_blocks(case)
     assert blocks.inputs[-2:] == ("hvdc1_p_mod", "hvdc2_p_mod")
-    assert np.max(np.abs(blocks.Bu.toarray() - B)) < 1e-9 * np.max(np.abs(B))
     # and in coordinates of the devices' modes, with which the search for modes works
     s = 0.3 + 4.0j
     from interarea.design.linear.resolvent import Shifted

@@ -8,9 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from plant_shim import BlockShim
+from sparse_blocks import agreeing_blocks
 
-from interarea.design.linear.sparse_plant import sparse_plant
-from interarea.fmu_build.write.device_slopes import DeviceSlopes
 from interarea.models.blocks.plant import event_parameters, plant_block
 from interarea.models.case.case import load_case
 from interarea.models.case.events import events_of
@@ -19,10 +18,8 @@ from interarea.models.devices.library import library
 from interarea.models.devices.release import released
 from interarea.models.devices.rows import numbers_of, row_of
 from interarea.models.errors import CaseError, DeviceError
-from interarea.models.files import default_cache
 from interarea.models.grid.equilibrium import operating_point
 from interarea.models.grid.machine_tables import in_plant_order
-from interarea.models.grid.powerflow import solve_powerflow
 from interarea.models.importers.file import import_grid
 
 TRACES = Path(__file__).parents[5] / "shared" / "reference" / "psse_traces"
@@ -61,14 +58,8 @@ def test_it_rests_and_the_derivatives_are_those_of_differences(control, network,
 def test_the_sparse_blocks_have_its_state_matrix():
     """By the direction of its voltage too, which only the frequency needs."""
     case = in_plant_order(with_der("frequency", fdbd1=0.0, fdbd2=0.0))
-    block = plant_block(case)
-    blocks = sparse_plant(
-        DeviceSlopes(block, cache=default_cache()), block.data, solve_powerflow(case).voltages
-    )
-    A, B, _, _ = BlockShim(block).jacobians()
-    assert np.max(np.abs(blocks.state_matrix() - A)) < 1e-9 * np.max(np.abs(A))
+    blocks, _, _ = agreeing_blocks(case)
     assert blocks.inputs[-2:] == ("der1_p_mod", "der1_q_mod")
-    assert np.max(np.abs(blocks.Bu.toarray() - B)) < 1e-9 * np.max(np.abs(B))
 
 
 def run(case, seconds, *events, step_s=0.001):
