@@ -32,6 +32,12 @@ from .first_swing import Positive, after_clearing
 Exponent = Annotated[float, Field(ge=0.0)]
 
 
+def require_points(key: str, names: Sequence[str], points: Sequence[str]) -> None:
+    """Raise ValueError where `names`, of a table's `key`, has what is no operating point of the design."""
+    if unknown := [name for name in names if name not in points]:
+        raise ValueError(f"{key} has {unknown}; the design's are {', '.join(points)}")
+
+
 class FaultPlace(Table):
     """A three-phase fault at a bus, cleared by itself or by the trip of a branch."""
 
@@ -74,8 +80,7 @@ class AcceptanceTable(Table):
 
     def check(self, points: Sequence[str]) -> None:
         """Raise ValueError where `points` of the table names what is no operating point of the design."""
-        if strange := sorted(set(self.points) - set(points)):
-            raise ValueError(f"acceptance.points names {strange}; the design's are {sorted(points)}")
+        require_points("acceptance.points", self.points, points)
 
     def looked_at(self, cases: Mapping[str, Case]) -> dict[str, Case]:
         """Return the operating points of `cases` at which faults are tried."""

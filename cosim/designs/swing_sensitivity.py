@@ -25,7 +25,7 @@ from ..errors import ScenarioError
 from ..results.largest_deviation import angles_of, with_angles
 from ..run.artefacts import plant_fmu
 from ..trajectory import Trajectory
-from .acceptance import AcceptanceTable, FaultPlace, with_ceilings
+from .acceptance import AcceptanceTable, FaultPlace, require_points, with_ceilings
 from .fault_runs import FaultRun, FaultRuns
 from .first_swing import Positive, after_clearing
 
@@ -53,9 +53,7 @@ class FirstSwingTable(Table):
         """Raise ValueError where it names no point of the design, or there is no fault to go by."""
         if acceptance is None:
             raise ValueError("first_swing needs [acceptance]: its faults are those that are looked at")
-        unknown = [name for name in self.points if name not in points]
-        if unknown:
-            raise ValueError(f"first_swing.points has {unknown}; the design's are {', '.join(points)}")
+        require_points("first_swing.points", self.points, points)
 
 
 @dataclass(frozen=True)
