@@ -8,16 +8,16 @@ from __future__ import annotations
 import os
 import sys
 import warnings
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from importlib import import_module
-from itertools import pairwise
 from typing import Annotated, Any, NoReturn
 
 import typer
 from typer.core import TyperCommand, TyperGroup
 
 from .. import __version__
+from .. import command_usage as usage
 from ..command_help import SUMMARIES, last_lines
 from .terminal import complain, say_warning, set_level, steady_streams
 
@@ -130,7 +130,6 @@ COMMANDS = {
         "Run a whole study, or study a grid: modes, a design made for it, faults, report.html, study.json.",
     ),
 }
-_UsageError: Any = typer.BadParameter.__base__  #: typer's own, or click's where typer is older
 _SETTINGS: dict[str, Any] = {
     "pretty_exceptions_enable": False,
     "rich_markup_mode": None,
@@ -150,43 +149,23 @@ class _QuickHelp:
 
 class _Command(_QuickHelp, TyperCommand):
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Refuse empty words first: as a path one would mean the current folder."""
-        for before, word in zip(["", *args], args, strict=False):
-            if word == "" or (word.startswith("--") and word.endswith("=")):
-                option = word.removesuffix("=") or (before if before.startswith("-") else "an argument")
-                raise typer.BadParameter("is empty, allowed: a name", param_hint=option)
-        try:
-            return super().parse_args(ctx, list(args))
-        except typer.BadParameter as error:
-            if (line := _refused_word(error, args)) is None:
-                raise
-            raise typer.BadParameter(line, ctx=ctx, param=error.param) from None
-        except _UsageError as error:
-            out = next((p for p in self.params if "--out" in p.opts), None)
-            if out is None or "--out" in args or "unexpected extra argument" not in error.message:
-                raise
-            folder = error.message.rpartition("(")[2].rstrip(")").split()[-1]
-            raise _UsageError(f"{error.message}; what is written goes to --out {folder}", ctx) from None
+        """Refuse words that typer would take, or refuse in several lines."""
+        usage.check_words(self, args)
+        with _one_line(args, self):
+            rest = super().parse_args(ctx, list(args))
+        usage.check_numbers(self, ctx.params)
+        return rest
 
 
-def _refused_word(error: Any, args: Sequence[str]) -> str | None:
-    """Return what an option got and takes, where its message does not say the first; None of others.
-
-    The metavar of an option is the unit of its number.
-    """
-    wanted = error.message.removeprefix("Input should be ")
-    if wanted == error.message or error.param is None:
-        return None
-    words = [after for before, after in pairwise(args) if before in error.param.opts]
-    words += [w.partition("=")[2] for w in args if w.partition("=")[0] in error.param.opts and "=" in w]
-    if not words:
-        return None
-    got, numbers = words[-1], {"a valid number": "a number", "a valid integer": "a whole number"}
-    for said, number in numbers.items():
-        if wanted.startswith(said):
-            unit = f" ({error.param.metavar})" if error.param.metavar else ""
-            return f"{got!r}, allowed: {number}{unit}"
-    return f"{got}, allowed: {wanted}"
+@contextmanager
+def _one_line(words: Sequence[str], command: Any = None) -> Iterator[None]:
+    """Raise what typer says of a command's words as UsageMistake; help in place of an error stays."""
+    try:
+        yield
+    except usage.Error as error:
+        if type(error).__name__ == "NoArgsIsHelpError":
+            raise
+        raise usage.mistake(error, words, command) from None
 
 
 def load(name: str) -> Any:
@@ -232,7 +211,12 @@ class _Commands(_QuickHelp, TyperGroup):
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         if args and args[0] in COMMANDS:
             self.add_command(load(args[0]), args[0])
-        return super().resolve_command(ctx, args)
+        with _one_line(args):
+            return super().resolve_command(ctx, args)
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        with _one_line(args):
+            return super().parse_args(ctx, args)
 
 
 def _completion() -> bool:

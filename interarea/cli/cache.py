@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ..command_usage import UsageMistake
 from .terminal import print_table
 
 if TYPE_CHECKING:
@@ -43,7 +44,7 @@ def cache(
 
     for name, value in (("--keep-mb", keep_mb), ("--unused-days", unused_days)):
         if value is not None and not value >= 0.0:
-            raise typer.BadParameter(f"{name} = {value:g}, allowed: 0 or more")
+            raise UsageMistake(f"cache: {name}: got {value:g}, allowed: 0 or more")
     folder = default_cache()
     going: list[Kept] = damaged(folder) if check else []
     bad, left = len(going), sweep(folder)

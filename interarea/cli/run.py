@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ..command_usage import UsageMistake
 from .terminal import busy, note, say_warning, stage_progress
 
 if TYPE_CHECKING:
@@ -114,7 +115,7 @@ def _refuse_unused(options: Mapping[str, object]) -> None:
     """Refuse options about files where none is written."""
     for option, value in options.items():
         if value:
-            raise typer.BadParameter(f"a folder for the results is needed by {option}", param_hint="--out")
+            raise UsageMistake(f"run: {option} needs a folder for the results, wanted: --out DIR beside it")
 
 
 def _shown(scenario: Scenario, *, explain: bool, json_: bool) -> None:

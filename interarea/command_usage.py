@@ -1,0 +1,168 @@
+"""A mistake in the words of a command: one line with command, word, what is allowed, and what to do.
+
+What typer says of one takes four lines, and names neither what was given nor what is allowed.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Sequence
+from itertools import pairwise
+from typing import Any
+
+import typer
+
+from interarea.models.errors import UserError
+
+from .command_help import EXAMPLES
+
+Error: Any = typer.BadParameter.__base__  #: typer's own, or click's where typer is older
+
+LARGEST = 1e9  #: of the numbers that options take, whatever their unit
+
+#: how typer's messages on a value begin -> what is allowed
+_NUMBERS = {"a valid number": "a number", "a valid integer": "a whole number"}
+
+
+class UsageMistake(UserError):
+    """Words that a command does not take."""
+
+
+def check_words(command: Any, words: Sequence[str]) -> None:
+    """Require that no word is empty, and that no option stands where the value of another is wanted.
+
+    Raises UsageMistake.
+    """
+    for before, word in zip(["", *words], words, strict=False):
+        if word == "" or (word.startswith("--") and word.endswith("=")):  # as a path: the current folder
+            option = word.removesuffix("=") or (before if before.startswith("-") else "an argument")
+            raise UsageMistake(f"{command.name}: {option} is empty, allowed: {_wanted(command, option)}")
+    options = {name: p for p in command.params for name in (*p.opts, *p.secondary_opts) if name[0] == "-"}
+    for before, word in pairwise(words):
+        if before == "--":
+            break
+        taken = options.get(before)
+        if taken is not None and not taken.is_flag and word.partition("=")[0] in options:
+            raise UsageMistake(
+                f"{command.name}: {before} has no value, the option {word} follows it, "
+                f"wanted: {_wanted(command, before)}"
+            )
+
+
+def check_numbers(command: Any, given: dict[str, Any]) -> None:
+    """Require that every number given to an option is finite, and no larger than any quantity here.
+
+    Raises UsageMistake.
+    """
+    for parameter in command.params:
+        value = given.get(parameter.name)
+        if isinstance(value, float) and not abs(value) <= LARGEST:
+            raise UsageMistake(
+                f"{command.name}: {_shown(parameter)}: got {value:g}, allowed: a finite number, at most "
+                f"{LARGEST:g} in size{_purpose(parameter)}"
+            )
+
+
+def mistake(error: Any, words: Sequence[str], command: Any = None) -> UsageMistake:
+    """Return a usage error of typer as one line.
+
+    words : those after the command's name. command : None of what stands before it.
+    """
+    if command is None:
+        return UsageMistake(_before_a_command(error))
+    name = command.name
+    if hasattr(error, "possibilities"):
+        return UsageMistake(f"{name}: {_no_such_option(error, command, words)}")
+    if hasattr(error, "option_name"):
+        return UsageMistake(f"{name}: {_without_value(error, command)}")
+    if "unexpected extra argument" in error.message:
+        return UsageMistake(f"{name}: {_too_many(command, words, error)}")
+    parameter = getattr(error, "param", None)
+    if hasattr(error, "param_type"):  # one that is missing
+        return UsageMistake(f"{name}: {_shown(parameter)} is missing, wanted: {_wanted(command, parameter)}")
+    where = f"{_shown(parameter)}: " if parameter is not None else ""
+    return UsageMistake(f"{name}: {where}{_wrong_value(error, words)}")
+
+
+def _before_a_command(error: Any) -> str:
+    """Return what is wrong with the words before a command's name, or with the name."""
+    if hasattr(error, "possibilities"):
+        return (
+            f"{error.option_name}: no such option before the name of a command; those of a command follow "
+            "its name, as `interarea list --json` (`interarea --help` lists the commands)"
+        )
+    word = error.message.partition("'")[2].partition("'")[0]
+    if word and "ommand" in error.message:
+        hint = _nearest(word, EXAMPLES) or "; wanted: the name of one"
+        return f"{word}: no such command{hint} (`interarea --help` lists them)"
+    return str(error.format_message())
+
+
+def _no_such_option(error: Any, command: Any, words: Sequence[str]) -> str:
+    word = next((w for w in words if w.startswith(error.option_name)), error.option_name).partition("=")[0]
+    known = [name for p in command.params for name in (*p.opts, *p.secondary_opts) if name[0] == "-"]
+    hint = _nearest("--" + word.lstrip("-"), [*known, "--help"])
+    return f"{word}: no such option{hint} (`interarea {command.name} --help` lists them)"
+
+
+def _nearest(word: str, known: Iterable[str]) -> str:
+    close = difflib.get_close_matches(word, list(known), n=1, cutoff=0.5)
+    return f"; did you mean {close[0]}?" if close else ""
+
+
+def _without_value(error: Any, command: Any) -> str:
+    if "does not take a value" in error.message:
+        return f"{error.option_name} takes no value, wanted: {error.option_name} alone"
+    return f"{error.option_name} has no value, wanted: {_wanted(command, error.option_name)}"
+
+
+def _too_many(command: Any, words: Sequence[str], error: Any) -> str:
+    extra = error.message.rpartition("(")[2].rstrip(")")
+    arguments = [p for p in command.params if p.param_type_name == "argument"]
+    allowed = " and ".join(f"one {_shown(p)}" for p in arguments) or "options alone"
+    out = next((p for p in command.params if "--out" in p.opts), None)
+    hint = f"; what is written goes to --out {extra.split()[-1]}"
+    return f"{extra}: more than is taken, allowed: {allowed}" + (
+        hint if out is not None and not any(w.partition("=")[0] == "--out" for w in words) else ""
+    )
+
+
+def _wrong_value(error: Any, words: Sequence[str]) -> str:
+    """Return what an option got and takes, where its message does not say the first."""
+    wanted = error.message.removeprefix("Input should be ")
+    if wanted == error.message or getattr(error, "param", None) is None:
+        return str(error.message)
+    got = [after for before, after in pairwise(words) if before in error.param.opts]
+    got += [w.partition("=")[2] for w in words if w.partition("=")[0] in error.param.opts and "=" in w]
+    for said, number in _NUMBERS.items():
+        if wanted.startswith(said):
+            wanted = number
+    wanted = wanted.replace("greater than or equal to", "at least")
+    return f"got {got[-1] if got else 'another'}, allowed: {wanted}{_purpose(error.param)}"
+
+
+def _shown(parameter: Any) -> str:
+    """Return an option with its metavar, or the name of an argument, as the help has them."""
+    metavar = parameter.metavar or ""
+    if parameter.param_type_name == "argument":
+        return metavar.strip("{}[].") or parameter.name.upper()
+    return f"{parameter.opts[0]} {metavar}".strip()
+
+
+def _purpose(parameter: Any) -> str:
+    return f" ({parameter.help})" if getattr(parameter, "help", None) else ""
+
+
+def _wanted(command: Any, which: Any) -> str:
+    """Return what a parameter, given or named, takes, and the command's example."""
+    parameter = which
+    if isinstance(which, str):
+        parameter = next((p for p in command.params if which in (*p.opts, *p.secondary_opts)), None)
+    takes = "a name"
+    if parameter is not None:
+        metavar = (parameter.metavar or "").strip("{}[].") or "a value"
+        text = getattr(parameter, "help", None)
+        takes = (
+            text if text and parameter.param_type_name == "argument" else f"{metavar}{_purpose(parameter)}"
+        )
+    return f"{takes}, as in `{EXAMPLES[command.name]}`"
