@@ -53,6 +53,7 @@ class SweepStore:
         self.dropped: list[str] = []  #: parts that could not be read; their runs are done again
         try:
             folder.mkdir(parents=True, exist_ok=True)
+            _check_alone(folder)
             self._lock = locked(folder / _LOCK, make=True)  # Windows: two sweeps in one folder go unnoticed
             if self._lock is None:
                 raise SweepError(f"{folder}: another process is writing to this folder; wait for it")
@@ -170,11 +171,8 @@ class SweepStore:
         manifest = self.folder / "manifest.json"
         if manifest.exists():
             _check_manifest(manifest, self.plan)
-        elif _anything(self.folder):
-            raise SweepError(
-                f"{self.folder}: holds other files and no manifest.json, allowed: an empty folder, "
-                "or that of the same sweep"
-            )
+        else:
+            _check_alone(self.folder)
         for folder in (self.work, self.folder / ROWS):
             folder.mkdir(exist_ok=True)
         if self.plan.sweep.trajectories.keep != "none":
@@ -252,6 +250,15 @@ def _manifest(plan: SweepPlan) -> dict[str, Any]:
         "version": plan.version,
         "runs": plan.sweep.size,
     }
+
+
+def _check_alone(folder: Path) -> None:
+    """Require a folder of a sweep, or one that holds nothing else."""
+    if not (folder / "manifest.json").exists() and _anything(folder):
+        raise SweepError(
+            f"{folder}: holds other files and no manifest.json, allowed: an empty folder, "
+            "or that of the same sweep"
+        )
 
 
 def _check_manifest(path: Path, plan: SweepPlan) -> None:

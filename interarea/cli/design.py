@@ -268,7 +268,7 @@ def certify(
     from .destination import file_for
 
     if out is not None:
-        file_for(out)
+        file_for(out, suffix=".json")
     if page is not None:
         file_for(page, "--page", suffix=".html")
     others = acceptance or worth or out is not None or page is not None

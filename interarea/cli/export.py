@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from interarea.fmu_build.errors import BuildError
+
 from .modes import CaseName
 from .study import OutFolder
 from .terminal import FileAsJson, busy, steps, tell_file
@@ -29,7 +31,8 @@ Platforms = Annotated[
 ]
 
 SampleTime = Annotated[
-    float, typer.Option("--sample-time", metavar="S", help="interval at which a tool calls a DLL, s")
+    float | None,
+    typer.Option("--sample-time", metavar="S", help="interval at which a tool calls a DLL, s; 0.001"),
 ]
 
 
@@ -57,7 +60,7 @@ def build(
             help="controller, channel and PMU as IEEE/CIGRE DLLs too, for win64,win32,linux64",
         ),
     ] = None,
-    sample_time: SampleTime = 0.001,
+    sample_time: SampleTime = None,
     json_: Annotated[bool, typer.Option("--json", help="print JSON instead of lines")] = False,
 ) -> None:
     """Build the plant FMU of a case, complete: documentation, sources and cross-check files."""
@@ -76,18 +79,21 @@ def build(
     cache = default_cache()
     loaded = load_case(case)
     folder_for(out)
+    sample_s = _sample_s(sample_time, dll)
     blocks = {loaded.name: plant_block(loaded, show=show)}
     if controller is not None:
         result = controller_of(controller, loaded, cache)
         if result is not None:
             blocks |= {"channel": channel_block(), result.name: result.block(loaded.omega_b)}
     parts, files = [b for b in blocks.values() if b.kind != "plant"], {}
+    if dll is not None and not parts:
+        raise BuildError("--dll: no controller was named; allowed: with --controller CONTROLLER")
     with steps([f"{name}.fmu" for name in blocks]) as report, together():
         for name, block in blocks.items():
             report(f"{name}.fmu")
             fmu = complete_fmu(block_fmu(block, cache, platforms=names_of(platforms)), cache)
             files[name] = str(place(fmu, out / f"{name}.fmu"))
-        dlls = _dlls([*parts, pmu_block()] if parts else [], out, names_of(dll) or [], sample_time, cache)
+        dlls = _dlls([*parts, pmu_block()], out, names_of(dll) or [], sample_s, cache)
     if json_:
         typer.echo(
             json.dumps({"case": loaded.name, "fmus": files} | ({"dlls": dlls} if dll else {}), indent=2)
@@ -97,17 +103,23 @@ def build(
         typer.echo(file)
 
 
+def _sample_s(given: float | None, dll: str | None) -> float:
+    """Return the interval at which a DLL is called, s."""
+    if given is not None and dll is None:
+        raise BuildError(f"--sample-time {given:g}: of a DLL alone, wanted: with --dll, or left out")
+    if given is not None and not given > 0.0:
+        raise BuildError(f"--sample-time {given:g}: allowed: above 0, in s")
+    return 0.001 if given is None else given
+
+
 def _dlls(
     blocks: list[Block], out: Path, platforms: list[str], sample_time_s: float, cache: Path
 ) -> list[str]:
     """Write each block as a DLL of each platform, ``OUT/PLATFORM/NAME.dll``."""
-    from interarea.fmu_build.errors import BuildError
     from interarea.fmu_build.write.real_code import build_dll, suffix_of
 
     from .destination import file_for
 
-    if platforms and not blocks:
-        raise BuildError("--dll: no controller was named; allowed: with --controller CONTROLLER")
     files = []
     for platform in platforms:
         for block in blocks:
@@ -155,16 +167,18 @@ def container(
             help="what lies between plant and its inputs as one IEEE/CIGRE DLL: win64, win32, linux64",
         ),
     ] = None,
-    sample_time: SampleTime = 0.001,
+    sample_time: SampleTime = None,
     json_: FileAsJson = False,
 ) -> None:
     """Write plant, channels and controller of a scenario as one FMU that simulates by itself."""
     from interarea.cosim.export.container import chain_of, write_container
     from interarea.fmu_build.write.real_code import build_dll, suffix_of
 
+    sample_s = _sample_s(sample_time, dll)
+
     def write_chain(loaded: Any, path: Path, *, cache: Path, platforms: object) -> Path:
         chain = chain_of(loaded, cache=cache)
-        return build_dll(chain, path, platform=str(dll), sample_time_s=sample_time, cache=cache)
+        return build_dll(chain, path, platform=str(dll), sample_time_s=sample_s, cache=cache)
 
     if dll is None:
         tell_file(_written(write_container, ".fmu", scenario, out, platforms), json_)

@@ -79,7 +79,7 @@ def import_grid(
     from .destination import file_for
     from .terminal import busy
 
-    file_for(out)
+    file_for(out, suffix=".toml")
     imported = read_grid(
         grid,
         dyr=dyr,

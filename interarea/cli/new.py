@@ -55,6 +55,8 @@ def new(
         raise UserError(f"--out {out}: a {kind} is a {suffix} file, allowed: a name that ends so")
     if file_for(out).exists():
         raise UserError(f"--out {out}: is there already, allowed: a new file")
+    if dyr is not None and not grid:
+        raise UserError(f"--dyr {dyr}: no grid that it is of, wanted: `new study GRID --dyr FILE`")
     if grid:
         text = _grid_study(kind, grid, dyr, out)
     else:
@@ -138,7 +140,8 @@ def device(
     if draw is not None and (file_for(draw, "--draw").suffix != ".svg"):
         raise UserError(f"--draw {draw}: the diagram is SVG, allowed: a name that ends in .svg")
     model = _model(file)
-    parameters = _assigned("--set", given or [])
+    parameters = _assigned("--set", given or [], "KA=200")
+    point = _assigned("--at", at or [], "vt=1.02")
     lacking = missing(model, parameters)
     drawn = [] if draw is None else [str(write_whole(draw, diagram_svg(model.device)))]
     if lacking:
@@ -149,7 +152,7 @@ def device(
         raise UserError(
             f"{model.device.name}: no value for {', '.join(lacking)}; give --set {lacking[0]}=..."
         )
-    response = response_of(model, parameters, _assigned("--at", at or []), base_mva=base_mva, stop_s=stop_s)
+    response = response_of(model, parameters, point, base_mva=base_mva, stop_s=stop_s)
     if json_:
         typer.echo(json.dumps(_document(model, response, drawn), indent=2, allow_nan=False))
         return
@@ -216,7 +219,7 @@ def _tell(model: Model, response: Response) -> None:
         typer.echo(f"  {response.times[k]:8.3f} s  {response.output[k]:+.6g}")
 
 
-def _assigned(option: str, texts: list[str]) -> dict[str, float]:
+def _assigned(option: str, texts: list[str], example: str) -> dict[str, float]:
     """Return NAME=VALUE texts as numbers by name."""
     assigned = {}
     for text in texts:
@@ -226,5 +229,5 @@ def _assigned(option: str, texts: list[str]) -> dict[str, float]:
         except ValueError:
             sign = ""
         if not sign or not math.isfinite(assigned[name.strip()]):
-            raise UserError(f"{option} {text}: allowed: a name, =, a number, as KA=200")
+            raise UserError(f"{option} {text}: allowed: a name, =, a number, as {example}")
     return assigned

@@ -133,7 +133,7 @@ def maps(
         raise SweepError(f"{folder}: is a file, wanted: the folder of a sweep's results (its --out)")
     if not folder.exists():
         raise SweepError(f"{folder}: no such folder, wanted: that of a sweep's results (its --out)")
-    page = file_for(out or folder / "maps.html")
+    page = file_for(out or folder / "maps.html", suffix=".html")
     file_for(explorer_beside(page))
     check_workers(workers, None)
     with stage_progress(STEPS) as report:
@@ -144,6 +144,12 @@ def maps(
         typer.echo(json.dumps({"page": str(page), "runs": summary_of(folder)}, indent=2))
     else:
         typer.echo(page)
+
+
+def _check_above_0(options: Mapping[str, float | None]) -> None:
+    for option, value in options.items():
+        if value is not None and not value > 0.0:
+            raise SweepError(f"{option} {value:g}: allowed: above 0, in s")
 
 
 def screen(
@@ -199,6 +205,7 @@ def screen(
     check_workers(workers, scheduler)
     if (bus and trips) or (branch and not trips):
         raise SweepError("--bus is of faults and --branch of --trips, allowed: the one that fits")
+    _check_above_0({"--step": step, "--solver-step": solver_step})
     pages = ("screen.json", "screen.csv", "screen.html", *(["explorer.html"] if explore else []))
     folder_for(out, files=pages)
     screening = Screening(

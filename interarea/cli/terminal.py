@@ -21,6 +21,8 @@ import typer
 
 from interarea.models.errors import InterareaError, UserError
 
+from ..command_usage import LARGEST
+
 if TYPE_CHECKING:
     from interarea.design.robust.operating_points import FamilyRow
     from interarea.progress import Report
@@ -145,6 +147,8 @@ def two_numbers(text: str, option: str, wanted: str, error: type[Exception]) -> 
         low, high = (float(part) for part in text.split(":"))
     except ValueError:
         raise error(f"{option} {text!r}, wanted {wanted}") from None
+    if not max(abs(low), abs(high)) <= LARGEST:
+        raise error(f"{option} {text!r}, allowed: finite numbers, at most {LARGEST:g} in size")
     return low, high
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -39,6 +40,9 @@ _POWERS = {
     "converter": (("p", "vt", "ip"), ("q", "vt", "iq")),
     "vsc": (("p1", "v1", "ip1"), ("p2", "v2", "ip2")),
 }
+_VOLTAGES = ("vt", "v1", "v2")  #: magnitudes
+_LARGEST = 1e3  #: of a signal at rest, pu or rad
+_MOST_CALLS = 15_000  #: of the rates, for a step response; the devices of the package take up to 4000
 _RTOL, _ATOL = 1e-8, 1e-10
 
 
@@ -76,10 +80,7 @@ def response_of(
     kind = KINDS[device.kind]
     seen = {name: POINT[name] for name in (*kind.inputs, kind.output) if name in POINT}
     for name, value in (point or {}).items():
-        if name not in seen:
-            raise DeviceError(
-                f"{device.name}: {name} = {value:g} is no signal of it; known: {', '.join(seen)}"
-            )
+        _check_signal(device.name, name, value, seen)
         seen[name] = value
     if not min(stop_s, base_mva, frequency_hz) > 0.0:
         given = f"stop {stop_s:g} s, base {base_mva:g} MVA, {frequency_hz:g} Hz"
@@ -104,6 +105,16 @@ def response_of(
     return Response(rest, _poles(rest, inputs), STEPS[device.kind], times, stepped)
 
 
+def _check_signal(who: str, name: str, value: float, seen: Mapping[str, float]) -> None:
+    """Require that a device sees a signal, and that it can rest at such a value."""
+    if name not in seen:
+        raise DeviceError(f"{who}: {name} = {value:g} is no signal of it; known: {', '.join(seen)}")
+    voltage = name in _VOLTAGES
+    if not (value > 0.0 if voltage else value >= -_LARGEST) or not value <= _LARGEST:
+        allowed = f"above 0, at most {_LARGEST:g}" if voltage else f"{-_LARGEST:g} to {_LARGEST:g}"
+        raise DeviceError(f"{who}: {name} = {value:g}, allowed: {allowed}")
+
+
 def _poles(rest: RestPoint, inputs: Mapping[str, float]) -> npt.NDArray[np.complex128]:
     """Eigenvalues of the rates at rest by their derivatives with a complex step, rightmost first."""
     n = len(rest.states)
@@ -125,7 +136,14 @@ def _step_response(rest: RestPoint, inputs: Mapping[str, float], stop_s: float) 
     (changed if name in inputs else stepped.values)[name] += size
     times = np.linspace(0.0, stop_s, 201)
 
-    def rates(_: float, x: Array) -> list[float]:
+    calls = itertools.count(1)
+
+    def rates(time: float, x: Array) -> list[float]:
+        if next(calls) > _MOST_CALLS:
+            raise DeviceError(
+                f"{device.name}: the step response has got to {time:.3g} s after {_MOST_CALLS} evaluations: "
+                "a gate switches to and fro; change the parameters, or where it rests"
+            )
         for power, volt, current in _POWERS.get(device.kind, ()):
             changed[power] = changed[volt] * x[rest.instance.state_names.index(current)]
         return [float(rate) for rate in stepped.run(list(x), changed)[1]]

@@ -20,6 +20,7 @@ from .language.expression import Node, evaluate
 from .language.structure import Model
 
 STILL = 1e-8  #: largest rate at rest, pu/s, relative to the size of the state
+_CURE = "change the parameters in it or the dispatch"
 _GRID = [10.0 ** (k / 8) for k in range(-32, 33)]
 
 
@@ -167,7 +168,7 @@ class _Walk:
             free = replace(e, left=led_on(e.left, name), right=led_on(e.right, name))
             root = None if free == e else _root_of(free, name, known)
         if root is None:
-            raise DeviceError(f"{self.who}: no {name} found at rest from {e.left} = {e.right}")
+            raise DeviceError(f"{self.who}: no {name} found at rest from {e.left} = {e.right}; {_CURE}")
         return root
 
     def tear(self) -> None:
@@ -198,7 +199,10 @@ class _Walk:
                 self.steps.append(f"{name} so that {self.story(closing[0], '')[6:]}")
                 del self.equations[closing[0]]
                 return
-        raise DeviceError(f"{self.who}: no rest found for {', '.join(sorted(self.unknown))}")
+        raise DeviceError(
+            f"{self.who}: no rest found for {', '.join(sorted(self.unknown))}; change the parameters or the "
+            "dispatch"
+        )
 
 
 def _root_of(e: Equation, name: str, known: Mapping[str, float]) -> float | None:
@@ -316,7 +320,10 @@ def _checked(
     states = tuple(float(starts[name]) for name in instance.state_names)
     bad = [name for name, value in (starts | known).items() if not math.isfinite(value)]
     if bad:
-        raise DeviceError(f"{who}: {bad[0]} is {(starts | known)[bad[0]]} at rest; a gain or limit of 0?")
+        raise DeviceError(
+            f"{who}: {bad[0]} is {(starts | known)[bad[0]]} at rest; set gains and limits in it to other "
+            "than 0, or change the dispatch"
+        )
     margins = tuple(instance.margins(known))
     if check:
         for margin in margins:
@@ -344,11 +351,7 @@ def _check_margin(margin: Margin, model: Model, who: str, room: float) -> None:
             if text in known:
                 cure = f"set {text} to {to} {margin.value:.6g} or change the dispatch"
             else:
-                cure = (
-                    "change the parameters in it or the dispatch"
-                    if not _is_number(text)
-                    else "change the dispatch"
-                )
+                cure = _CURE if not _is_number(text) else "change the dispatch"
             raise BeyondLimit(
                 f"{who}: {name} is {margin.value:.6g} at rest, {word} {what}; {cure}",
                 signal=margin.signal, value=margin.value, limit=text, above=sign > 0.0,

@@ -57,6 +57,9 @@ def test_what_is_wrong_is_named():
         response_of(model, SEXS | {"KA": 1.0})
     with pytest.raises(DeviceError, match=r"pm = 1 is no signal of it; known: .*vt"):
         response_of(model, SEXS, {"pm": 1.0})
+    for wrong in ({"vt": 0.0}, {"vt": -1.0}, {"vt": 2e3}, {"slip": 2e3}, {"efd": np.nan}):
+        with pytest.raises(DeviceError, match=rf"{next(iter(wrong))} = .*, allowed: (above 0|-1000 to)"):
+            response_of(model, SEXS, wrong)
     with pytest.raises(DeviceError, match=r"efd .* above EMAX = 1"):
         response_of(model, SEXS | {"EMAX": 1.0})
 
