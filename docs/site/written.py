@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import subprocess
 import sys
 import tomllib
@@ -71,8 +72,13 @@ trajectories.keep = "all"
 """
 
 
+def samples_in(folder: Path) -> dict[str, Path]:
+    """Return the folder of each command of `SAMPLES`, and that of two certificates of `robust`."""
+    return {name: folder / name for name in (*SAMPLES, "design")}
+
+
 def write_samples(folder: Path) -> dict[str, Path]:
-    """Run the commands of `SAMPLES`; return the folder of each, and that of two certificates of `robust`."""
+    """Run the commands of `SAMPLES`; return `samples_in(folder)`."""
     (folder / "sweep.toml").write_text(SWEEP, encoding="utf-8")
     for name, words in SAMPLES.items():
         arguments = [word.format(folder=folder) for word in words]
@@ -88,11 +94,14 @@ def write_samples(folder: Path) -> dict[str, Path]:
     done = subprocess.run(anew, capture_output=True, text=True, check=True)
     certificate = {key: value for key, value in json.loads(done.stdout).items() if key != "acceptance"}
     (folder / "design" / "anew.json").write_text(json.dumps(certificate), encoding="utf-8")
-    return {name: folder / name for name in (*SAMPLES, "design")}
+    return samples_in(folder)
 
 
 def written_page() -> Iterator[str]:
-    """Every file that a command writes, with its keys and an example of each."""
+    """Every file that a command writes, with its keys and an example of each.
+
+    ``$INTERAREA_DOCS_SAMPLES`` names a folder in which `write_samples` has run before.
+    """
     yield "# What is written"
     yield ""
     yield (
@@ -100,8 +109,9 @@ def written_page() -> Iterator[str]:
         "writes, with every key and column. A file is whole or not there; numbers have all their digits. "
         "The examples are those of a run of each command, made with this page; in names `*` stands for any."
     )
+    before = os.environ.get("INTERAREA_DOCS_SAMPLES")
     with TemporaryDirectory() as place:
-        samples = write_samples(Path(place))
+        samples = samples_in(Path(before)) if before else write_samples(Path(place))
         for command in WRITTEN["command"]:
             folder = samples.get(command["name"])
             yield from ("", f"## interarea {command['name']}", "")

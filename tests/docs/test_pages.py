@@ -84,25 +84,6 @@ def test_every_kind_of_what_is_cached_is_told() -> None:
     )
 
 
-@pytest.mark.slow
-def test_every_file_and_key_that_is_written_is_told(tmp_path: Path) -> None:
-    for name, folder in written.write_samples(tmp_path).items():
-        command = next(c for c in written.WRITTEN["command"] if c["name"] == name)
-        files = {str(p.relative_to(folder)): p for p in folder.rglob("*") if p.is_file()}
-        assert files
-        used: set[str] = set()
-        for path, file in files.items():
-            entry = written.entry_of(path, command)
-            assert entry is not None, f"{name}: {path} is not told"
-            if "keys" in entry:
-                for key in written.keys_of(file):
-                    reported = written.covered_by(key, entry["keys"])
-                    assert reported is not None, f"{name}: {path}: {key} is not told"
-                    used.add(f"{entry['path']} {reported}")
-        documented = {f"{file['path']} {key}" for file in command["file"] for key in file.get("keys", {})}
-        assert documented == used, f"{name}: told and not there: {documented - used}"
-
-
 def test_no_table_has_an_empty_heading(made: dict[str, str]) -> None:
     texts = {p.name: p.read_text(encoding="utf-8") for p in PAGES} | made
     for name, text in texts.items():

@@ -12,11 +12,22 @@ from typing import Any
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT / "docs" / "site"))
+import written  # noqa: E402  of the site, no package
+
 REQUIRED = os.environ.get("INTERAREA_REQUIRE_BROWSER") == "1"
 
 
 @pytest.fixture(scope="session")
-def site(cache: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def samples(cache: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder in which the commands have run whose files are examples of the site."""
+    folder = tmp_path_factory.mktemp("samples")
+    written.write_samples(folder)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def site(cache: Path, samples: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the folder of the built site; a warning fails."""
     pytest.importorskip("myst_nb", reason="sphinx and myst-nb are not installed (extra `docs`)")
     out = tmp_path_factory.mktemp("site")
@@ -32,10 +43,29 @@ def site(cache: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         "docs",
         str(out / "html"),
     ]
-    environment = {**os.environ, "INTERAREA_CACHE": str(cache)}
+    environment = {**os.environ, "INTERAREA_CACHE": str(cache), "INTERAREA_DOCS_SAMPLES": str(samples)}
     done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     return out / "html"
+
+
+@pytest.mark.slow
+def test_every_file_and_key_that_is_written_is_told(samples: Path) -> None:
+    for name, folder in written.samples_in(samples).items():
+        command = next(c for c in written.WRITTEN["command"] if c["name"] == name)
+        files = {str(p.relative_to(folder)): p for p in folder.rglob("*") if p.is_file()}
+        assert files
+        used: set[str] = set()
+        for path, file in files.items():
+            entry = written.entry_of(path, command)
+            assert entry is not None, f"{name}: {path} is not told"
+            if "keys" in entry:
+                for key in written.keys_of(file):
+                    reported = written.covered_by(key, entry["keys"])
+                    assert reported is not None, f"{name}: {path}: {key} is not told"
+                    used.add(f"{entry['path']} {reported}")
+        documented = {f"{file['path']} {key}" for file in command["file"] for key in file.get("keys", {})}
+        assert documented == used, f"{name}: told and not there: {documented - used}"
 
 
 @pytest.mark.slow
