@@ -9,8 +9,10 @@ from __future__ import annotations
 import errno
 import os
 import shutil
+from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import pytest
 from file_faults import LONG, SHARED, SHARES, Fault, grid
@@ -89,35 +91,47 @@ def small_study(folder: Path) -> str:
     return str(file)
 
 
-def keep_models_of_the_explorer(
-    name: str, cache: Path, folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Compute them once, here: a study's processes are forks of this one. No file is written for them."""
+def left(out: Path) -> dict[str, bytes]:
+    return {p.relative_to(out).as_posix(): p.read_bytes() for p in out.rglob("*") if p.is_file()}
+
+
+@dataclass(frozen=True)
+class Small:
+    """A small study: its file, what it writes, and the models of its explorer, of which no file is kept."""
+
+    name: str
+    files: dict[str, bytes]
+    models: Any
+
+
+@pytest.fixture(scope="module")
+def small(cache: Path, tmp_path_factory: pytest.TempPathFactory) -> Small:
+    """Return the study after a first run, in which all that it computes came into the cache."""
+    folder = tmp_path_factory.mktemp("small")
+    name = small_study(folder)
+    run_study(name, folder / "first", second_solver=False)
     spec = load_study(name)
     case, specs = load_case(spec["case"]), design_specs(spec)
     own = {c: design_controller(case, c, cache, specs=specs) for c in spec["controllers"]}
-    made = page.models_of(subject_of(spec["case"], cache, own))
-    monkeypatch.setattr(page, "models_of", lambda _: made)
-
-
-def left(out: Path) -> dict[str, bytes]:
-    return {p.relative_to(out).as_posix(): p.read_bytes() for p in out.rglob("*") if p.is_file()}
+    models = page.models_of(subject_of(spec["case"], cache, own))
+    return Small(name, left(folder / "first"), models)
 
 
 @LONG
 @SHARED
 @pytest.mark.slow
-def test_a_study(share: int, cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What it computes is in the cache, as after a study that has failed at its files."""
-    monkeypatch.setenv("INTERAREA_CACHE", str(cache))
-    name = small_study(tmp_path)
-    run_study(name, tmp_path / "first", second_solver=False)
-    keep_models_of_the_explorer(name, cache, tmp_path, monkeypatch)
+def test_a_study(share: int, small: Small, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What it computes is in the cache, as after a study that has failed at its files.
+
+    Its models are kept here: a study's processes are forks of this one.
+    """
+    name = small.name
+    monkeypatch.setattr(page, "models_of", lambda _: small.models)
     fault = Fault(0, 0)
     with fault.injected():
         run_study(name, tmp_path / "whole", second_solver=False)
     whole, tried = left(tmp_path / "whole"), 0
-    assert left(tmp_path / "first") == whole and len(whole) >= 10
+    assert small.files == whole and len(whole) >= 10
     for n in islice(grid(ratio=3.0), share, None, SHARES):
         if n > fault.count:
             break
@@ -139,18 +153,15 @@ def test_a_study(share: int, cache: Path, tmp_path: Path, monkeypatch: pytest.Mo
 @LONG
 @pytest.mark.slow
 def test_a_folder_in_the_place_of_each_file_of_a_study(
-    cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    small: Small, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv("INTERAREA_CACHE", str(cache))
-    name = small_study(tmp_path)
-    run_study(name, tmp_path / "first", second_solver=False)
-    keep_models_of_the_explorer(name, cache, tmp_path, monkeypatch)
-    names = sorted(left(tmp_path / "first"))
+    monkeypatch.setattr(page, "models_of", lambda _: small.models)
+    names = sorted(small.files)
     assert len(names) >= 10
     for k, blocked in enumerate(names):
         out = tmp_path / f"{k}"
         (out / blocked).mkdir(parents=True)
         with pytest.raises(IsADirectoryError) as refused:
-            run_study(name, out, second_solver=False)
+            run_study(small.name, out, second_solver=False)
         assert str(refused.value.filename) == str(out / blocked)
         assert left(out) == {}
