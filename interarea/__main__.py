@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from typing import Any, NoReturn
 
 _AGAIN_S = 0.05
+_LOST_S = 0.3  #: after which an import that goes on has swallowed an interrupt
 _ALLOCATIONS = 100_000  # between searches for cycles; after Python's own 700 they take a sixth of a run
 
 
@@ -23,12 +24,13 @@ def _stop(number: int, frame: FrameType | None) -> None:
 
 
 def _keep_code(stops: list[int]) -> None:
-    """End with the code of the signal that stopped the command.
+    """End with the code of the signal that stopped the command, before Python takes its modules down.
 
     Python ends itself by SIGINT where KeyboardInterrupt has passed through code that a module in C runs
-    (PyRun_String), even if it was dealt with. Where SIGINT stopped the command, that is as good.
+    (PyRun_String), even if it was dealt with; a thread of such a module that is at work then ends it by
+    SIGABRT.
     """
-    if stops and stops[0] != signal.SIGINT:
+    if stops:
         from contextlib import suppress
 
         for stream in (sys.stdout, sys.stderr):
@@ -54,6 +56,35 @@ def _interrupt(number: int) -> None:
         signal.raise_signal(number)
 
 
+def _outermost_import(frame: FrameType | None) -> FrameType | None:
+    """Return the frame of the import under way at `frame` that began first; None if there is none."""
+    outermost = None
+    while frame is not None:
+        if frame.f_code.co_filename == "<frozen importlib._bootstrap>":
+            outermost = frame
+        frame = frame.f_back
+    return outermost
+
+
+def _watch(importing: FrameType, number: int) -> None:
+    """Interrupt the main thread again if it goes on with an import that an interrupt should have ended.
+
+    A module in C that is being loaded makes an ImportError of one, and who imports may go on without it.
+    """
+    import threading
+
+    def look() -> None:
+        frame = sys._current_frames().get(threading.main_thread().ident or 0)
+        while frame is not None and frame is not importing:
+            frame = frame.f_back
+        if frame is not None:
+            _interrupt(number)
+
+    later = threading.Timer(_LOST_S, look)
+    later.daemon = True
+    later.start()
+
+
 def main() -> None:
     """Run the command line."""
     numbers = _signals()
@@ -70,8 +101,10 @@ def main() -> None:
     stops: list[int] = []
     atexit.register(_keep_code, stops)  # registered first, called last
 
-    def stop(number: int, _frame: FrameType | None) -> NoReturn:
+    def stop(number: int, frame: FrameType | None) -> NoReturn:
         stops.append(number)
+        if (importing := _outermost_import(frame)) is not None:
+            _watch(importing, number)
         raise KeyboardInterrupt
 
     def swallowed(lost: Any) -> None:

@@ -60,9 +60,19 @@ COMMANDS = {
     "design": "design robust --out {out}/robust.json",
     "screen": "screen two-area-thesis --workers 2 --out {out}",
     "maps": "maps {files}/swept --workers 2 --out {out}/maps.html",
+    "container": "container lost-signal --out {out}/loop.fmu",
+    "explore": "explore two-area-thesis --out {out}/page.html",
+    "of-grid": "design two-area-thesis --minutes 1 --out {out}/made.json",
+    "worth": "study worth --grid two-area-thesis --minutes 1 --out {out}",
+    "actuators": "study actuators --grid two-area-thesis --actuator exciter --out {out}",
+    "inverters": "study inverters --grid two-area-thesis --minutes 1 --out {out}",
+    "wrong": "study wrong-signals --controller robust --one-point --out {out}",
+    "meter": "meter {files}/run/trajectory.parquet --case two-area-thesis",
+    "locate": "locate {files}/run/trajectory.parquet --case two-area-thesis",
+    "fit": "fit {files}/run/trajectory.parquet --case two-area-thesis --machine G1 --parameters H,exciter.KA",
     "fetch": "import npcc --out {out}/npcc.toml",
 }
-EMPTY_CACHE = {"study", "build", "ssp", "dll", "modes", "loops", "certify", "design"}
+EMPTY_CACHE = {"study", "build", "ssp", "dll", "modes", "loops", "certify", "design", "container", "explore"}
 FROM_REGISTRY = {"fetch"}  #: commands that ask the package registry
 LONGEST_S = {
     "study": 40.0,
@@ -72,6 +82,11 @@ LONGEST_S = {
     "grid": 20.0,
     "certify": 20.0,
     "design": 40.0,
+    "of-grid": 20.0,
+    "worth": 20.0,
+    "actuators": 20.0,
+    "inverters": 20.0,
+    "wrong": 20.0,
 }  # of the wait before the signal; others 6 s
 
 _SWEEP = """
@@ -109,6 +124,8 @@ def prepare(files: Path) -> None:
     few = ["sweep", str(files / "few.toml"), "--out", str(files / "swept")]
     subprocess.run(_command(few), check=True, capture_output=True)
     subprocess.run(_command(["build", "two-area-thesis", "--out", str(files)]), check=True)
+    few = ["run", "ring-down", "--out", str(files / "run")]
+    subprocess.run(_command(few), check=True, capture_output=True)
     subprocess.run(
         _command(COMMANDS["compare"].format(out=files / "compared").split()), check=True, capture_output=True
     )
@@ -169,7 +186,7 @@ def stopped(name: str, number: str, files: Path, wait_s: float) -> list[str]:
         if code not in expected and code is not None and begun:  # else it has met Python's own start
             wrong.append(f"exit code {code}: {text[-300:]}")
         if alive:
-            wrong.append(text[-2000:])
+            wrong.append(text.partition("Extension modules")[0][-2000:])  # where it was
         if begun and ("Traceback" in text or "Exception ignored" in text):
             wrong.append(f"a traceback: {text[-600:]}")
         if number == "SIGKILL":  # what it could not remove goes with the next command, whichever it is

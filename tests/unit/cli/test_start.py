@@ -42,6 +42,21 @@ def test_little_is_loaded_before_signals_are_handled() -> None:
     }
 
 
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", ""])
+def test_a_stopped_command_does_not_take_its_modules_down(name: str) -> None:
+    """Threads of a module in C that are at work then end Python by SIGABRT."""
+    stops = f"signal.{name}" if name else ""
+    code = (
+        f"import atexit, signal, sys, interarea.__main__ as m; atexit.register(m._keep_code, [{stops}])\n"
+        "class Late:\n"
+        "    def __del__(self): print('taken down', flush=True)\n"
+        "sys.modules['late'] = Late(); print('written'); sys.exit(130)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 128 + (getattr(signal, name) if name else signal.SIGINT), done.stderr
+    assert done.stdout.split("\n")[:-1] == (["written"] if name else ["written", "taken down"])
+
+
 def _loaded(*arguments: str) -> tuple[subprocess.CompletedProcess[str], set[str]]:
     """Run a command; return how it ended and the modules that it loaded."""
     code = (

@@ -62,6 +62,26 @@ CALLBACK = """
     __main__.main()
 """
 
+IMPORTED = """
+    import sys
+    from interarea import __main__
+    from interarea.cli import app
+    open("{file}.py", "w").write('\\n'.join([
+        "import os, signal, time",
+        "try:",
+        "    os.kill(os.getpid(), signal.SIGTERM)",
+        "    time.sleep(60)",
+        "except BaseException:  # as who can do without a module in C whose loading was interrupted",
+        "    print('swallowed', file=__import__('sys').stderr)",
+        "time.sleep(60)",
+    ]))
+    def run(stops):
+        sys.path.insert(0, "{file}".rpartition("/")[0])
+        __import__("{file}".rpartition("/")[2])
+    app.main = run
+    __main__.main()
+"""
+
 
 def _started(text: str, file: Path) -> subprocess.Popen[bytes]:
     surroundings = {**os.environ, "TMPDIR": str(file.parent)}
@@ -114,7 +134,13 @@ def test_interrupted_side_by_side_ends_commands_and_begins_no_other(tmp_path: Pa
 def test_an_interrupt_in_a_callback_comes_again(tmp_path: Path) -> None:
     main = _started(CALLBACK, tmp_path / "pid")
     _, said = main.communicate(timeout=20)
-    assert main.returncode in (1, -signal.SIGINT) and b"Exception ignored" not in said
+    assert main.returncode == 128 + signal.SIGINT and b"Exception ignored" not in said
+
+
+def test_an_interrupt_that_an_import_swallows_comes_again(tmp_path: Path) -> None:
+    main = _started(IMPORTED, tmp_path / "loaded")
+    _, said = main.communicate(timeout=20)
+    assert main.returncode == 128 + signal.SIGTERM and said.count(b"swallowed") == 1
 
 
 def test_a_pool_left_by_an_error_is_killed() -> None:
