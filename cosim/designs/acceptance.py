@@ -5,8 +5,8 @@ grid that holds without it, most of all where exciters have ceilings. So every c
 point, exciter ceiling, kind of loads, fault, lost signal and latency is run through the non-linear plant,
 beside the same without control, as long as the slowest root of the linear loop in which it ends asks for
 (`fault_loops`), and judged by the rule of every run (`results.verdict`). A run that neither loses synchronism
-nor decays is run for a minute before that is held against a controller. For each point, ceiling, kind and
-fault the clearing time that is just survived is searched for both.
+nor decays is run on, to four minutes at most, before that is held against a controller. For each point,
+ceiling, kind and fault the clearing time that is just survived is searched for both.
 """
 
 from __future__ import annotations

@@ -31,7 +31,7 @@ from ..run.instance import Fmus
 from ..run.run import system_of
 from ..scenario.scenario import Scenario, load_scenario
 from ..trajectory import Trajectory
-from .fault_loops import LONG_S, LoopEnd
+from .fault_loops import LONG_S, LONGEST_S, LoopEnd
 
 #: side by side at most; the processor's vectors take them in parts
 TOGETHER = 32
@@ -148,20 +148,26 @@ class FaultRuns:
         """Return what runs came to, each as long as its linear loop asks for, and the longest of them, s.
 
         ends : the loop in which each run ends. since_s : when the last signal is lost. What keeps synchronism
-        without decaying is run for `LONG_S` at least.
+        without decaying is run on to `LONG_S` and, where that loop is stable, to `LONGEST_S`: only that shows
+        how it ends.
         """
         lengths = [end.run_s(run.stop_s, since_s) for run, end in zip(runs, ends, strict=True)]
-        longer = [replace(run, stop_s=s) for run, s in zip(runs, lengths, strict=True)]
-        outcomes = self.outcomes(longer, [end.root for end in ends])
-        open_ended = [
-            k for k, o in enumerate(outcomes) if o.synchronous and not o.stable and lengths[k] < LONG_S
-        ]
-        again = self.outcomes(
-            [replace(runs[k], stop_s=LONG_S) for k in open_ended], [ends[k].root for k in open_ended]
+        outcomes = self.outcomes(
+            [replace(run, stop_s=s) for run, s in zip(runs, lengths, strict=True)], [end.root for end in ends]
         )
-        for k, outcome in zip(open_ended, again, strict=True):
-            outcomes[k] = outcome
-        return outcomes, max([LONG_S] * bool(open_ended) + lengths, default=0.0)
+        for horizon_s in (LONG_S, LONGEST_S):
+            open_ended = [
+                k
+                for k, (o, end) in enumerate(zip(outcomes, ends, strict=True))
+                if o.synchronous and not o.stable and lengths[k] < horizon_s
+                if end.stable or horizon_s <= LONG_S
+            ]
+            again = self.outcomes(
+                [replace(runs[k], stop_s=horizon_s) for k in open_ended], [ends[k].root for k in open_ended]
+            )
+            for k, outcome in zip(open_ended, again, strict=True):
+                outcomes[k], lengths[k] = outcome, horizon_s
+        return outcomes, max(lengths, default=0.0)
 
     def judged(
         self, runs: Sequence[GridRun], roots: Sequence[complex | None]

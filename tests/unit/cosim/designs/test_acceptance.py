@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,10 +24,11 @@ from interarea.cosim.designs.acceptance import (
 from interarea.cosim.designs.certificate_words import first_failures, kept_certificate, not_covered
 from interarea.cosim.designs.design_file import design_of, load_design
 from interarea.cosim.designs.fault_loops import LONG_S, LONGEST_S, SLOW, FaultLoops, LoopEnd
-from interarea.cosim.designs.fault_runs import FaultRun
+from interarea.cosim.designs.fault_runs import FaultRun, FaultRuns, Outcome
 from interarea.cosim.designs.first_swing import after_clearing
 from interarea.cosim.errors import ScenarioError
 from interarea.cosim.results.ringdown import Swing
+from interarea.cosim.results.verdict import Verdict
 from interarea.cosim.run.artefacts import linear_plant
 from interarea.cosim.run.controllers import design_controller
 from interarea.cosim.run.run import system_of
@@ -180,6 +182,34 @@ def test_a_loop_that_grows_slowly_is_run_for_longer(cache: Path) -> None:
     assert not end.stable
     assert loops.end(None, ("G4_dw",), controlled=False).stable
     assert loops.end("8-9 a", ("G4_dw",)).stable  # another grid, another loop
+
+
+@pytest.mark.parametrize(
+    ("stable", "ends_by", "came_to", "longest_s"),
+    [
+        (True, 100.0, "settled", 240.0),
+        (True, 300.0, "standing swing", 240.0),
+        (False, 100.0, "growing", 60.0),
+    ],
+)
+def test_what_does_not_decay_is_run_on_to_its_end(
+    stable: bool, ends_by: float, came_to: str, longest_s: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A motion that is over at `ends_by`: it is settled in a run that lasts longer, if its loop is stable."""
+    runs = FaultRuns.__new__(FaultRuns)
+
+    def outcomes(those: Sequence[FaultRun], roots: Sequence[complex]) -> list[Outcome]:
+        names = [
+            "settled" if run.stop_s > ends_by else "standing swing" if root.real < 0.0 else "growing"
+            for run, root in zip(those, roots, strict=True)
+        ]
+        return [Outcome(1.0, Verdict(n, "", (2.0, 60.0), 1.0, 0.5, 0.5, 60.0, None, None)) for n in names]
+
+    monkeypatch.setattr(runs, "outcomes", outcomes)
+    end = LoopEnd(stable, complex(-0.1 if stable else 0.1, 3.0))
+    made, longest = runs.outcomes_to_end([FaultRun((), 10.0)], [end], 1.5)
+    assert made[0].verdict is not None
+    assert (made[0].verdict.name, longest) == (came_to, longest_s)
 
 
 def test_what_a_certificate_leaves_out_is_said() -> None:
