@@ -172,7 +172,7 @@ class Expansion:
             for _ in range(30):
                 slope, hessian = smooth.derivatives(move)
                 slope = slope + held * move
-                step = -cho_solve(cho_factor(hessian + held * np.eye(n)), slope)
+                step = -_solved(hessian + held * np.eye(n), slope)
                 fall = -float(slope @ step)
                 if not fall > 1e-9:
                     break
@@ -195,6 +195,16 @@ class Expansion:
         weight = self.counts * np.exp(self.rho * (v - top))
         total = float(weight.sum())
         return top + float(np.log(total)) / self.rho, weight / total
+
+
+def _solved(hessian: Array, slope: Array) -> Array:
+    """Return hessian^-1 slope; eigenvalues that rounding made negative count as no less than rounding."""
+    try:
+        return np.asarray(cho_solve(cho_factor(hessian), slope))
+    except np.linalg.LinAlgError:
+        values, directions = np.linalg.eigh(hessian)
+        least = len(values) * np.finfo(float).eps * values[-1]
+        return np.asarray(directions @ (directions.T @ slope / np.maximum(values, least)))
 
 
 def expansion(objective: Objective, theta: Array, scale: Array) -> Expansion:

@@ -134,6 +134,20 @@ def test_a_direction_of_falling_curvature_is_held_back_as_one_of_rising() -> Non
     assert move == pytest.approx([-0.25, -0.25], rel=1e-4)
 
 
+def test_a_bound_far_steeper_than_the_rest_does_not_end_a_search() -> None:
+    """Rounding takes the least eigenvalues of the Hessian below 0; the least value is at the bound's edge."""
+    rng = np.random.default_rng(0)
+    n, steep = 40, 1e9 * rng.standard_normal((3, 40))
+    near = Expansion(
+        40.0, np.zeros(1), rng.standard_normal((1, n)), np.ones(1), np.zeros((n, n)), np.ones(3), steep
+    )
+    with pytest.raises(np.linalg.LinAlgError):
+        np.linalg.cholesky(near.derivatives(np.zeros(n))[1] + 1e-6 * np.eye(n))
+    move, fall = near.least(1e-6)
+    assert fall > 2.9  # 3 is what the three bounds are exceeded by at rest, squared
+    assert np.all(near.hinges + steep @ move < 1e-3)
+
+
 def test_an_operating_point_that_is_asked_more_is_that_much_worse(objective: Objective) -> None:
     theta = _controller(objective, 3)
     K = objective.unpack(theta)
