@@ -194,9 +194,10 @@ def which_to_build(wide: Controller, local: Controller | None, asked: tuple[floa
         )
     if _passed(wide):
         return f"build the wide-area loop: {afar}; {there}, which misses {_missed(local)}"
-    better = "wide-area loop" if _short(wide, asked) >= _short(local, asked) else "local stabilizers"
+    wide_first = _short(wide, asked) >= _short(local, asked)
+    better = "wide-area loop comes" if wide_first else "local stabilizers come"
     return (
-        f"neither holds all that is asked; the {better} come nearer: {afar} and misses {_missed(wide)}; "
+        f"neither holds all that is asked; the {better} nearer: {afar} and misses {_missed(wide)}; "
         f"{there} and miss {_missed(local)}"
     )
 
