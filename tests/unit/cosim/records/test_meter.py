@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from functools import cache
 from pathlib import Path
 
@@ -10,14 +11,15 @@ import control
 import numpy as np
 import pandas as pd
 import pytest
-import scipy.linalg
 from command_line import invoke
 
 import interarea as ia
 from interarea.cosim.records.meter import meter
-from interarea.cosim.records.record import Channel, Record, RecordError
+from interarea.cosim.records.record import Record, RecordError
 
-STEP_S = 0.1
+sys.path.append(str(Path(__file__).parents[4] / "benchmarks" / "records"))
+from ambient_coverage import LinearRecords
+
 CASE = "kundur-manual"
 Z, F = 0.0323, 0.5455  # damping ratio and frequency of its inter-area mode, of which `exact` makes sure
 
@@ -27,31 +29,14 @@ def grid() -> control.StateSpace:
     return ia.linearise(CASE)
 
 
+@cache
+def records_of(case: control.StateSpace) -> LinearRecords:
+    return LinearRecords(case)
+
+
 def ambient(seed: int, length_s: float, case: control.StateSpace | None = None) -> Record:
-    """Return speeds of the machines, every rotor driven by noise of 0.3 1/s, by the exact discrete system."""
-    plant = grid() if case is None else case
-    A, labels = np.asarray(plant.A), list(plant.state_labels)
-    rotors = [k for k, name in enumerate(labels) if name.endswith(".slip")]
-    n, m = len(A), len(rotors)
-    whole = np.zeros((n + m, n + m))
-    whole[:n, :n], whole[rotors, range(n, n + m)] = A, 1.0
-    whole[n:, n:] = -0.3 * np.eye(m)
-    enters = np.vstack([np.zeros((n, m)), np.eye(m)])
-    N = n + m
-    block = scipy.linalg.expm(np.block([[-whole, enters @ enters.T], [np.zeros((N, N)), whole.T]]) * STEP_S)
-    moves = block[N:, N:].T
-    values, vectors = np.linalg.eigh(moves @ block[:N, N:])
-    noise = vectors * np.sqrt(np.maximum(values, 0.0))
-    outputs = [k for k, name in enumerate(plant.output_labels) if name.endswith("_dw")]
-    C = np.hstack([np.asarray(plant.C)[outputs], np.zeros((len(outputs), m))])
-    rng, x, skip = np.random.default_rng(seed), np.zeros(N), 600
-    rows = np.empty((skip + round(length_s / STEP_S), len(outputs)))
-    for k in range(len(rows)):
-        rows[k] = C @ x
-        x = moves @ x + noise @ rng.standard_normal(N)
-    names = [plant.output_labels[k].removesuffix("_dw") for k in outputs]
-    channels = tuple(Channel(f"plant.{name}_dw", "speed", "pu", name) for name in names)
-    return Record("ambient", STEP_S * np.arange(len(rows) - skip, dtype=float), rows[skip:], channels)
+    """Return speeds of the machines, every rotor driven by noise."""
+    return records_of(grid() if case is None else case).record(seed, length_s)
 
 
 def with_sine(record: Record, f: float, times: float, harmonics: dict[int, float] | None = None) -> Record:
