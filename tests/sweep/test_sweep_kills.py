@@ -179,7 +179,7 @@ def test_a_folder_with_other_files_is_left_alone(plan: Any, tmp_path: Path) -> N
     (tmp_path / "letter.txt").write_text("dear")
     with pytest.raises(SweepError, match="holds other files and no manifest"):
         SweepStore(tmp_path, plan)
-    assert sorted(p.name for p in tmp_path.iterdir()) == [".lock", "letter.txt"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["letter.txt"]
 
 
 def test_a_full_disk_is_an_error_and_what_was_written_stays_valid(
