@@ -69,7 +69,7 @@ COMMANDS = {
     "wrong": "study wrong-signals --controller robust --one-point --out {out}",
     "meter": "meter {files}/run/trajectory.parquet --case two-area-thesis",
     "locate": "locate {files}/run/trajectory.parquet --case two-area-thesis",
-    "fit": "fit {files}/run/trajectory.parquet --case two-area-thesis --machine G1 --parameters H,exciter.KA",
+    "fit": "fit {files}/terminal/trajectory.parquet --case two-area-thesis --machine G1 --parameters H,Xd1",
     "fetch": "import npcc --out {out}/npcc.toml",
 }
 EMPTY_CACHE = {"study", "build", "ssp", "dll", "modes", "loops", "certify", "design", "container", "explore"}
@@ -113,6 +113,21 @@ def _heed_signals() -> None:
         signal.signal(getattr(signal, number), signal.SIG_DFL)
 
 
+#: what `fit` needs of G1: the voltage at its bus and the power in its branch, after a disturbance elsewhere
+_TERMINAL = """
+case = "two-area-thesis"
+controller = "none"
+stop_s = 12.0
+show = ["bus1.re", "bus1.im", "branch[1-5].p", "branch[1-5].q"]
+[[event]]
+kind = "vref_pulse"
+machine = "G2"
+size_pu = 0.05
+start_s = 1.0
+end_s = 3.0
+"""
+
+
 def prepare(files: Path) -> None:
     """Write what the commands read, and fill the default cache."""
     fmu = misbehaving_fmu(files)
@@ -124,8 +139,10 @@ def prepare(files: Path) -> None:
     few = ["sweep", str(files / "few.toml"), "--out", str(files / "swept")]
     subprocess.run(_command(few), check=True, capture_output=True)
     subprocess.run(_command(["build", "two-area-thesis", "--out", str(files)]), check=True)
-    few = ["run", "ring-down", "--out", str(files / "run")]
-    subprocess.run(_command(few), check=True, capture_output=True)
+    (files / "terminal.toml").write_text(_TERMINAL, encoding="utf-8")
+    for scenario, folder in (("ring-down", "run"), (str(files / "terminal.toml"), "terminal")):
+        few = ["run", scenario, "--out", str(files / folder)]
+        subprocess.run(_command(few), check=True, capture_output=True)
     subprocess.run(
         _command(COMMANDS["compare"].format(out=files / "compared").split()), check=True, capture_output=True
     )
