@@ -37,7 +37,7 @@ def check_words(command: Any, words: Sequence[str]) -> None:
         if word == "" or (word.startswith("--") and word.endswith("=")):  # as a path: the current folder
             option = word.removesuffix("=") or (before if before.startswith("-") else "an argument")
             raise UsageMistake(f"{command.name}: {option} is empty, allowed: {_wanted(command, option)}")
-    options = {name: p for p in command.params for name in (*p.opts, *p.secondary_opts) if name[0] == "-"}
+    options = _options(command)
     for before, word in pairwise(words):
         if before == "--":
             break
@@ -100,9 +100,13 @@ def _before_a_command(error: Any) -> str:
 
 def _no_such_option(error: Any, command: Any, words: Sequence[str]) -> str:
     word = next((w for w in words if w.startswith(error.option_name)), error.option_name).partition("=")[0]
-    known = [name for p in command.params for name in (*p.opts, *p.secondary_opts) if name[0] == "-"]
-    hint = _nearest("--" + word.lstrip("-"), [*known, "--help"])
+    hint = _nearest("--" + word.lstrip("-"), [*_options(command), "--help"])
     return f"{word}: no such option{hint} (`interarea {command.name} --help` lists them)"
+
+
+def _options(command: Any) -> dict[str, Any]:
+    """Return the options of a command by each of their names."""
+    return {name: p for p in command.params for name in (*p.opts, *p.secondary_opts) if name[0] == "-"}
 
 
 def _nearest(word: str, known: Iterable[str]) -> str:
@@ -157,7 +161,7 @@ def _wanted(command: Any, which: Any) -> str:
     """Return what a parameter, given or named, takes, and the command's example."""
     parameter = which
     if isinstance(which, str):
-        parameter = next((p for p in command.params if which in (*p.opts, *p.secondary_opts)), None)
+        parameter = _options(command).get(which)
     takes = "a name"
     if parameter is not None:
         metavar = (parameter.metavar or "").strip("{}[].") or "a value"

@@ -17,12 +17,15 @@ import scipy.linalg
 from threadpoolctl import threadpool_limits
 
 import interarea as ia
-from interarea.cosim.records.meter import meter
+from interarea.cosim.records.ambient import SUBSPACE, YULE_WALKER, Estimate
+from interarea.cosim.records.meter import Swing, meter
 from interarea.cosim.records.record import Channel, Record, RecordError
+from interarea.design.modes.modes import Mode
 
 STEP_S = 0.1
 NOISE_RATE = 0.3  # 1/s, of the noise at each rotor
 SETTLE_S = 60.0  # left out at the start of a record
+METHODS = (SUBSPACE, YULE_WALKER)
 NEAR = 0.05  # of a mode's frequency: a swing without a name is taken for it
 
 
@@ -63,37 +66,44 @@ class LinearRecords:
 
 def rows_of(case: str, seeds: int, minutes: float, dampings: tuple[float, float]) -> list[str]:
     """Return a row of the page for each mode with such a damping ratio that a tenth of the records show."""
-    modes = [m for m in ia.modes(case).values() if dampings[0] <= m.damping_ratio <= dampings[1]]
+    every = list(ia.modes(case).values())
+    modes = [m for m in every if dampings[0] <= m.damping_ratio <= dampings[1]]
     records = LinearRecords(ia.linearise(case))
+    #: mode and method -> of each record that shows it: error in percent points, whether the interval holds it
     errors: dict[tuple[str, str], list[tuple[float, bool]]] = defaultdict(list)
     for seed in range(seeds):
         try:
-            swings = meter(records.record(seed, 60.0 * minutes), modes=list(ia.modes(case).values())).swings
+            swings = meter(records.record(seed, 60.0 * minutes), modes=every).swings
         except RecordError:
             continue
         for mode in modes:
-            near = [s for s in swings if abs(s.frequency_hz / mode.frequency_hz - 1.0) <= NEAR]
-            same = [s for s in swings if s.mode == mode.name] or [s for s in near if not s.mode]
-            if not same:
-                continue
-            nearest = min(same, key=lambda s: abs(s.frequency_hz - mode.frequency_hz))
-            for estimate in nearest.estimates:
+            for estimate in _estimates_of(mode, swings):
                 low, high = estimate.damping_interval
                 off = 100.0 * (estimate.damping_ratio - mode.damping_ratio)
                 errors[mode.name, estimate.method].append((off, low <= mode.damping_ratio <= high))
     rows = []
     for mode in modes:
-        seen = {method: each for (name, method), each in errors.items() if name == mode.name}
-        if not any(len(each) >= 0.1 * seeds for each in seen.values()):
-            continue
-        cells = [f"`{case}`, {mode.name}, {mode.frequency_hz:.2f} Hz", f"{100.0 * mode.damping_ratio:.1f} %"]
-        for method in ("subspace identification", "modified Yule-Walker"):
-            offs = np.array([off for off, _ in seen.get(method, [])])
-            held = np.mean([holds for _, holds in seen.get(method, [])]) if len(offs) else np.nan
-            spread = offs.std(ddof=1) if len(offs) > 1 else np.nan
-            cells.append(f"{len(offs)}: {offs.mean():.2f}, {spread:.2f}, {100.0 * held:.1f} %")
-        rows.append(f"| {' | '.join(cells)} |")
+        seen = [errors[mode.name, method] for method in METHODS]
+        if max(map(len, seen)) >= 0.1 * seeds:
+            head = f"`{case}`, {mode.name}, {mode.frequency_hz:.2f} Hz | {100.0 * mode.damping_ratio:.1f} %"
+            rows.append(f"| {head} | {' | '.join(map(_cell, seen))} |")
     return rows
+
+
+def _estimates_of(mode: Mode, swings: Sequence[Swing]) -> Sequence[Estimate]:
+    """Return what was estimated of a mode: of the swing of its name, else of one without a name beside it."""
+    near = [s for s in swings if abs(s.frequency_hz / mode.frequency_hz - 1.0) <= NEAR]
+    same = [s for s in swings if s.mode == mode.name] or [s for s in near if not s.mode]
+    nearest = min(same, key=lambda s: abs(s.frequency_hz - mode.frequency_hz), default=None)
+    return () if nearest is None else nearest.estimates
+
+
+def _cell(errors: Sequence[tuple[float, bool]]) -> str:
+    """Return how many records, bias, deviation, and the share of intervals that hold the truth."""
+    if len(errors) < 2:
+        return f"{len(errors)}"
+    offs, holds = np.array(errors).T
+    return f"{len(offs)}: {offs.mean():.2f}, {offs.std(ddof=1):.2f}, {100.0 * holds.mean():.1f} %"
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

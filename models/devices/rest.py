@@ -199,10 +199,7 @@ class _Walk:
                 self.steps.append(f"{name} so that {self.story(closing[0], '')[6:]}")
                 del self.equations[closing[0]]
                 return
-        raise DeviceError(
-            f"{self.who}: no rest found for {', '.join(sorted(self.unknown))}; change the parameters or the "
-            "dispatch"
-        )
+        raise DeviceError(f"{self.who}: no rest found for {', '.join(sorted(self.unknown))}; {_CURE}")
 
 
 def _root_of(e: Equation, name: str, known: Mapping[str, float]) -> float | None:

@@ -45,7 +45,7 @@ def test_a_first_day_at_both_ends(end: str, cache: Path, tmp_path: Path) -> None
     """What this environment's compiler made of the C is not made again by the same version; all else is."""
     venv.create(tmp_path / "environment", with_pip=False)
     python = tmp_path / "environment" / ("Scripts" if sys.platform == "win32" else "bin") / "python"
-    # by this environment's pip; a tenth of what comes is imported, so that only that is compiled to bytecode
+    # by this environment's pip; only what is imported is compiled to bytecode
     pip = [sys.executable, "-m", "pip", "--python", str(python), "--quiet", "install", "--no-compile"]
     install = [*pip, "--only-binary", ":all:", *requirements(end)]
     done = subprocess.run(install, capture_output=True, text=True, check=False)

@@ -79,7 +79,7 @@ def test_it_raises_the_inter_area_damping_with_any_one_signal_lost(
     together = ("N",) if late_ms == 50 else ("s150",)
     codes = (*together, *(f"s{late_ms}+L:{signal}" for signal in table.signals))
     conditions = [condition_of_many(code, table.signals) for code in codes]
-    # the rows of `judge_family` without its criteria of loss and effort, a quarter of its time
+    # the rows of `judge_family` without its criteria of loss and effort, which are not looked at here
     judged = [
         family_row(name, point.judged, K, condition, inter_area_band(modes[name]))
         for name, point in points.items()
