@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -230,8 +231,13 @@ def _start_plant(system: System, scenario: Scenario) -> None:
     plant = system.parts[PLANT]
     variables = plant.file.variables
     wrong = Collected()
-    for name in scenario.plant:
+    for name, value in scenario.plant.items():
         if name in variables and variables[name].causality == "parameter":
+            low, high = variables[name].number("min"), variables[name].number("max")
+            if not (-inf if low is None else low) <= value <= (inf if high is None else high):
+                ends = [] if low is None else [f"at least {low:g}"]
+                ends += [] if high is None else [f"at most {high:g}"]
+                wrong.lines.append(f"{scenario.name}: plant.{name} = {value:g}, allowed: {', '.join(ends)}")
             continue
         names = [v.name for v in variables.values() if v.causality == "parameter"]
         with wrong:

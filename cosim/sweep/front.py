@@ -12,14 +12,16 @@ from typing import Any, Literal
 
 from interarea.fmu_build.write.cache import default_cache
 from interarea.models.blocks.plant_shown import shows_powers
+from interarea.models.files import temporary_folder
 from interarea.models.grid.memory import MIB, require_memory, run_bytes
 
-from ..errors import MACHINE
+from ..errors import MACHINE, SweepError
 from ..run.controllers import ControllerLike
 from .lane_batches import lanes_here
 from .plan import SweepPlan, plan_sweep
 from .prepare import prepare
 from .rows import Outcome
+from .runner import Runner
 from .spec import Sweep, load_sweep
 from .store import SweepStore, explained
 from .workers.pool import local_outcomes
@@ -67,6 +69,7 @@ def run_sweep(
     store_in = default_cache() if cache is None else cache
     sweep = source if isinstance(source, Sweep) else load_sweep(source)
     plan = plan_sweep(sweep, store_in, large=large, controllers=controllers)
+    _refuse_what_no_run_takes(plan, store_in)
     with SweepStore(folder, plan) as store:
         if retry == "failed":
             store.forget_failed()
@@ -92,6 +95,14 @@ def run_sweep(
                 )
             _collect(store, outcomes, progress)
         return store.finish()
+
+
+def _refuse_what_no_run_takes(plan: SweepPlan, cache: Path) -> None:
+    """Raise SweepError where the first and the last run cannot be made for the same reason: none can."""
+    with temporary_folder() as scratch, Runner(plan, cache, scratch) as runner:
+        reason = runner.refused(0)
+        if reason and reason == runner.refused(plan.sweep.size - 1):
+            raise SweepError(f"{plan.sweep.name}: no run can be made: {reason}")
 
 
 def _require_memory(plan: SweepPlan, workers: int, runs: int, cache: Path) -> None:

@@ -13,6 +13,7 @@ from typing import Any
 from interarea.fmu_build.write.lane_library import GroupLibrary
 from interarea.models.case.case import Case
 from interarea.models.case.events import slot_count
+from interarea.models.errors import InterareaError
 
 from ..clock import seconds
 from ..errors import StepError, machine_error
@@ -21,6 +22,7 @@ from ..master.lockstep import advance_together
 from ..results.metrics import SYNCHRONISM
 from ..run.artefacts import EVENT_SLOTS
 from ..run.run import system_of
+from ..run.system import System
 from ..trajectory import Trajectory
 from .lane_batches import PlantKey, by_plant, common_s, has_lanes, how_many, lanes_here, plant_key
 from .live_instances import KEPT, Kept, LiveFmus, TimeUpError, controller_start, watch_of
@@ -124,6 +126,22 @@ class Runner:
         except StepError:  # voltages have collapsed
             self._free_instances()
             return False
+
+    def refused(self, run: int) -> str:
+        """Return why no system can be made of run number `run`; "" where it can. No FMU is loaded."""
+        sweep = self.plan.sweep
+        values = dict(sweep.values(run))
+        if sweep.searched is not None:
+            name, search = sweep.searched
+            values[name] = search.low
+        try:
+            point = point_of(sweep, values, base=self._packed)
+            self._system(point, max(EVENT_SLOTS, slot_count(point.scenario.event)))
+        except InterareaError as error:
+            if machine_error(error) is not None:
+                raise
+            return " ".join(str(error).split())
+        return ""
 
     def plant_of(self, values: Mapping[str, Value]) -> tuple[Case, Path]:
         """Return the case of a point and its plant FMU (there until other cases are asked for)."""
@@ -321,17 +339,22 @@ class Runner:
         good, bad, counted = self.edge(values, name, search)
         return start_row(run, values) | {name: good, f"{name}_unstable": bad, "evaluations": counted}
 
+    def _system(self, point: Point, slots: int) -> System:
+        """Return the system of a point, with so many slots for events."""
+        change, name = point.change, point.scenario.controller
+        return system_of(
+            point.scenario,
+            case=self._fmus.case(change, slots),
+            controller=self._fmus.planned(change.case, name) or "none",
+            swing=self.plan.swing(change.case),
+            fmus=self._fmus,
+        )
+
     def _ready(self, point: Point, busy: Sequence[Kept] = ()) -> tuple[Kept, Instances]:
         """Return live instances with the start values of a point, wired into a loop; none that is `busy`."""
         scenario, change = point.scenario, point.change
         slots = max(EVENT_SLOTS, slot_count(scenario.event))
-        system = system_of(
-            scenario,
-            case=self._fmus.case(change, slots),
-            controller=self._fmus.planned(change.case, scenario.controller) or "none",
-            swing=self.plan.swing(change.case),
-            fmus=self._fmus,
-        )
+        system = self._system(point, slots)
         instances = system.instances
         if "controller" in instances:
             own = controller_start(instances["controller"].file, point)

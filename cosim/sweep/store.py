@@ -171,8 +171,6 @@ class SweepStore:
         manifest = self.folder / "manifest.json"
         if manifest.exists():
             _check_manifest(manifest, self.plan)
-        else:
-            _check_alone(self.folder)
         for folder in (self.work, self.folder / ROWS):
             folder.mkdir(exist_ok=True)
         if self.plan.sweep.trajectories.keep != "none":
