@@ -42,7 +42,7 @@ def compare(
     from .destination import folder_for
 
     if out is not None:
-        folder_for(out)
+        folder_for(out, files=("compare.json", "compare.html"))
     from interarea.cosim.scenario.scenario import load_scenario
 
     loaded = load_scenario(scenario)

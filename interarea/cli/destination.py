@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import tempfile
 from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 
 from interarea.cosim.errors import DestinationError
@@ -47,10 +49,30 @@ def _require_room(path: Path, folder: Path, option: str) -> None:
     """Require that `folder`, or the nearest one above it that is there, is a folder that can be written."""
     there = folder.absolute()
     while not there.exists():
+        if there.is_symlink():
+            raise DestinationError(f"{option} {path}: {there} is a link to nothing, wanted: a folder")
         there = there.parent
     if not there.is_dir():
         raise DestinationError(f"{option} {path}: {there} is a file, wanted: a folder")
-    if not os.access(there, os.W_OK | os.X_OK):
+    try:
+        _try_to_write(there)
+    except PermissionError:
         raise DestinationError(
             f"{option} {path}: no permission to write in {there}, wanted: a place that you may write to"
-        )
+        ) from None
+    except OSError as error:
+        raise DestinationError(
+            f"{option} {path}: nothing can be written in {there} ({error.strerror}), wanted: another place"
+        ) from None
+
+
+def _try_to_write(folder: Path) -> None:
+    """Make a file without a name in a folder, or where there is no such thing a folder that goes at once.
+
+    What a folder's mode says is not asked: the administrator's is not obeyed, that of /proc is not meant.
+    Raises OSError where neither can be made.
+    """
+    with suppress(OSError, AttributeError):  # not on Windows, macOS or some file systems
+        os.close(os.open(folder, os.O_TMPFILE | os.O_WRONLY, 0o600))
+        return
+    Path(tempfile.mkdtemp(prefix=".", dir=folder)).rmdir()
