@@ -6,7 +6,7 @@ What typer says of one takes four lines, and names neither what was given nor wh
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -61,6 +61,36 @@ def check_numbers(command: Any, given: dict[str, Any]) -> None:
                 f"{command.name}: {_shown(parameter)}: got {value:g}, allowed: a finite number, at most "
                 f"{LARGEST:g} in size{_purpose(parameter)}"
             )
+
+
+def within(
+    *, above: float | None = None, least: float | None = None, most: float | None = None, unit: str = ""
+) -> Callable[[typer.Context, typer.CallbackParam, Any], Any]:
+    """Return the callback of an option that refuses numbers outside a range: UsageMistake, before any work.
+
+    above, least, most : ends of the range; the first does not belong to it. unit : of all, for the message.
+    """
+    ends = {"above": above, "at least": least, "at most": most}
+    allowed = " and ".join(f"{word} {end:g}" for word, end in ends.items() if end is not None)
+    allowed += unit and f", in {unit}"
+
+    def check(context: typer.Context, parameter: typer.CallbackParam, value: Any) -> Any:
+        for one in value if isinstance(value, list) else [value]:
+            if one is None:
+                continue
+            low = (above is None or one > above) and (least is None or one >= least)
+            if not (low and (most is None or one <= most)):
+                raise UsageMistake(
+                    f"{context.command.name}: {_shown(parameter)}: got {one:g}, allowed: {allowed}"
+                    f"{_purpose(parameter)}"
+                )
+        return value
+
+    return check
+
+
+ABOVE_0_S = within(above=0.0, unit="s")
+FROM_0_S = within(least=0.0, unit="s")
 
 
 def mistake(error: Any, words: Sequence[str], command: Any = None) -> UsageMistake:

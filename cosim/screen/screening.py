@@ -11,6 +11,7 @@ from typing import Any, Literal
 import pandas as pd
 
 from interarea.models.case.case import Case, load_case
+from interarea.models.case.tables import SOLVER_STEP_S
 
 from ..errors import SweepError, nearest
 from ..scenario.scenario import load_scenario
@@ -35,6 +36,8 @@ class Screening:
     controllers : besides none. longest_s : of the clearing times that are searched, to `tolerance_s`.
     step_s : communication step; None: 40 ms, with a controller what its loop needs. solver_step_s : longest
         step of the plant; None: its own.
+
+    Raises SweepError for a solver step that no plant takes.
     """
 
     case: str
@@ -49,6 +52,14 @@ class Screening:
     solver_step_s: float | None = None
     longest_s: float = 1.0
     tolerance_s: float = 0.005
+
+    def __post_init__(self) -> None:
+        shortest, longest = SOLVER_STEP_S
+        if self.solver_step_s is not None and not shortest <= self.solver_step_s <= longest:
+            raise SweepError(
+                f"solver step = {self.solver_step_s:g}, allowed: {shortest:g} to {longest:g} s, the longest "
+                "step of the plant"
+            )
 
     def places(self, case: Case) -> list[Any]:
         """Return the numbers of the buses, or names of the branches, that are disturbed in turn.

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ..command_usage import UsageMistake
+from ..command_usage import within
 from .terminal import print_table
 
 if TYPE_CHECKING:
@@ -26,11 +26,21 @@ def cache(
     ] = False,
     keep_mb: Annotated[
         float | None,
-        typer.Option("--keep-mb", metavar="MB", help="remove the longest unused until this much is left"),
+        typer.Option(
+            "--keep-mb",
+            metavar="MB",
+            help="remove the longest unused until this much is left",
+            callback=within(least=0.0, unit="MB"),
+        ),
     ] = None,
     unused_days: Annotated[
         float | None,
-        typer.Option("--unused-days", metavar="DAYS", help="remove what was not used for so long"),
+        typer.Option(
+            "--unused-days",
+            metavar="DAYS",
+            help="remove what was not used for so long",
+            callback=within(least=0.0, unit="days"),
+        ),
     ] = None,
     json_: Annotated[bool, typer.Option("--json", help="print JSON instead of a table")] = False,
 ) -> None:
@@ -42,9 +52,6 @@ def cache(
     from interarea.fmu_build.write.cache import artefacts_in, damaged, default_cache, remove
     from interarea.models.files import sweep
 
-    for name, value in (("--keep-mb", keep_mb), ("--unused-days", unused_days)):
-        if value is not None and not value >= 0.0:
-            raise UsageMistake(f"cache: {name}: got {value:g}, allowed: 0 or more")
     folder = default_cache()
     going: list[Kept] = damaged(folder) if check else []
     bad, left = len(going), sweep(folder)

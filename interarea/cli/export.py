@@ -11,6 +11,7 @@ import typer
 
 from interarea.fmu_build.errors import BuildError
 
+from ..command_usage import ABOVE_0_S
 from .modes import CaseName
 from .study import OutFolder
 from .terminal import FileAsJson, busy, steps, tell_file
@@ -32,7 +33,12 @@ Platforms = Annotated[
 
 SampleTime = Annotated[
     float | None,
-    typer.Option("--sample-time", metavar="S", help="interval at which a tool calls a DLL, s; 0.001"),
+    typer.Option(
+        "--sample-time",
+        metavar="S",
+        help="interval at which a tool calls a DLL, s; 0.001",
+        callback=ABOVE_0_S,
+    ),
 ]
 
 
@@ -107,8 +113,6 @@ def _sample_s(given: float | None, dll: str | None) -> float:
     """Return the interval at which a DLL is called, s."""
     if given is not None and dll is None:
         raise BuildError(f"--sample-time {given:g}: of a DLL alone, wanted: with --dll, or left out")
-    if given is not None and not given > 0.0:
-        raise BuildError(f"--sample-time {given:g}: allowed: above 0, in s")
     return 0.001 if given is None else given
 
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict
-from math import inf, isfinite, nan
+from math import isfinite, nan
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ..command_usage import FROM_0_S
 from .modes import Below, CaseName, CircuitsOut, at_point, region_of
 from .terminal import busy, print_table
 
@@ -35,7 +36,13 @@ def loops(
         ),
     ] = None,
     latency: Annotated[
-        float, typer.Option("--latency", metavar="S", help="of every signal; turns the phase to make up")
+        float,
+        typer.Option(
+            "--latency",
+            metavar="S",
+            help="of every signal; turns the phase to make up",
+            callback=FROM_0_S,
+        ),
     ] = 0.0,
     signals: Annotated[
         list[str] | None,
@@ -64,10 +71,6 @@ def loops(
     ] = None,
 ) -> None:
     """Rank every signal at every actuator for the inter-area modes, or others of a band; any grid."""
-    if not 0.0 <= latency < inf:  # before the work that it is for
-        from interarea.models.errors import UserError
-
-        raise UserError(f"--latency {latency:g}: allowed: 0 or more, in s")
     loaded = at_point(case, 0.0, circuit_out, 1.0)
     options: dict[str, Any] = {"latency_s": latency, "together": together, "most": max(most, tried)}
     options |= {"targets": mode or (), "actuators": actuator or ()} | ({"kinds": signals} if signals else {})

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ..command_usage import FROM_0_S
 from .terminal import busy, print_table, two_numbers
 
 if TYPE_CHECKING:
@@ -73,7 +74,8 @@ def modes(
         typer.Option("--controller", metavar="NAME", help="modes with it; bundled name, JSON file or FMU"),
     ] = None,
     latency: Annotated[
-        float, typer.Option("--latency", metavar="S", help="of every signal of the controller, exact")
+        float,
+        typer.Option("--latency", metavar="S", help="of the controller's signals, exact", callback=FROM_0_S),
     ] = 0.0,
     along: Annotated[
         str | None,

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ..command_usage import within
 from .certificates.wrong_study import OPTIONS, Asked, study_wrong
 from .certificates.wrong_study import STUDY as WRONG_SIGNALS
 from .terminal import note, stage_progress
@@ -79,7 +80,10 @@ def study(
     mva: Annotated[
         float | None,
         typer.Option(
-            "--mva", metavar="MVA", help="of actuators: power of each device (else the least there)"
+            "--mva",
+            metavar="MVA",
+            help="of actuators: power of each device (else the least there)",
+            callback=within(above=0.0, unit="MVA"),
         ),
     ] = None,
     controller: Annotated[
@@ -188,8 +192,6 @@ def _study_actuators(
 
     if len(grids) > 1:
         raise UserError(f"--grid {grids[1]}: the study actuators takes one grid; leave it out")
-    if mva is not None and not 0.0 < mva < float("inf"):
-        raise UserError(f"--mva {mva:g}: allowed: above 0, the installed power of each device in MVA")
     chosen = kinds_of(kinds)
     folder_for(out, files=FILES)
     name = grids[0] if grids else GRID

@@ -18,6 +18,7 @@ from interarea.models.bundled import bundled_elsewhere
 from interarea.models.documents import require_regular
 from interarea.progress import tell_runs
 
+from ..command_usage import ABOVE_0_S, within
 from .study import OutFolder
 from .terminal import busy, stage_progress
 
@@ -27,7 +28,13 @@ if TYPE_CHECKING:
 
 Workers = Annotated[
     int | None,
-    typer.Option("--workers", metavar="N", help="processes; default: one for each core", show_default=False),
+    typer.Option(
+        "--workers",
+        metavar="N",
+        help="processes; default: one for each core",
+        show_default=False,
+        callback=within(least=1),
+    ),
 ]
 Scheduler = Annotated[
     str | None,
@@ -91,8 +98,6 @@ def _tell(summary: Mapping[str, Any]) -> None:
 
 def check_workers(workers: int | None, scheduler: str | None) -> None:
     """Refuse what cannot compute, before anything is begun."""
-    if workers is not None and not workers >= 1:
-        raise SweepError(f"--workers = {workers}, allowed: at least 1")
     if workers is not None and scheduler is not None:
         raise SweepError(
             "--workers and --scheduler: the scheduler has workers of its own, allowed: one of the two"
@@ -118,7 +123,12 @@ def maps(
         Path | None,
         typer.Option("--out", metavar="FILE.html", help="default: DIR/maps.html", show_default=False),
     ] = None,
-    worst: Annotated[int, typer.Option("--worst", metavar="N", help="worst runs that are drawn")] = 6,
+    worst: Annotated[
+        int,
+        typer.Option(
+            "--worst", metavar="N", help="worst runs that are drawn", callback=within(least=0, most=50)
+        ),
+    ] = 6,
     workers: Workers = None,
     json_: Annotated[bool, typer.Option("--json", help="print JSON instead of the page's name")] = False,
 ) -> None:
@@ -127,15 +137,12 @@ def maps(
 
     from .destination import file_for
 
-    if not 0 <= worst <= 50:
-        raise SweepError(f"--worst = {worst}, allowed: 0 to 50")
     if folder.exists() and not folder.is_dir():
         raise SweepError(f"{folder}: is a file, wanted: the folder of a sweep's results (its --out)")
     if not folder.exists():
         raise SweepError(f"{folder}: no such folder, wanted: that of a sweep's results (its --out)")
     page = file_for(out or folder / "maps.html", suffix=".html")
     file_for(explorer_beside(page))
-    check_workers(workers, None)
     with stage_progress(STEPS) as report:
         page = write_maps(folder, page, worst=worst, workers=workers, progress=report)
     if json_:
@@ -144,12 +151,6 @@ def maps(
         typer.echo(json.dumps({"page": str(page), "runs": summary_of(folder)}, indent=2))
     else:
         typer.echo(page)
-
-
-def _check_above_0(options: Mapping[str, float | None]) -> None:
-    for option, value in options.items():
-        if value is not None and not value > 0.0:
-            raise SweepError(f"{option} {value:g}: allowed: above 0, in s")
 
 
 def screen(
@@ -179,14 +180,26 @@ def screen(
     clearing_times: Annotated[
         bool, typer.Option("--clearing-times", help="search the longest fault that keeps synchronism")
     ] = False,
-    stop: Annotated[float, typer.Option("--stop", metavar="S", help="length of a run")] = 10.0,
+    stop: Annotated[
+        float, typer.Option("--stop", metavar="S", help="length of a run", callback=ABOVE_0_S)
+    ] = 10.0,
     step: Annotated[
         float | None,
-        typer.Option("--step", metavar="S", help="communication step; default: 0.04, less with a controller"),
+        typer.Option(
+            "--step",
+            metavar="S",
+            help="communication step; default: 0.04, less with a controller",
+            callback=ABOVE_0_S,
+        ),
     ] = None,
     solver_step: Annotated[
         float | None,
-        typer.Option("--solver-step", metavar="S", help="longest step of the plant; default: its own"),
+        typer.Option(
+            "--solver-step",
+            metavar="S",
+            help="longest step of the plant; default: its own",
+            callback=ABOVE_0_S,
+        ),
     ] = None,
     explore: Annotated[
         bool, typer.Option("--explore", help="write explorer.html too: each disturbance as a page to drag")
@@ -205,7 +218,6 @@ def screen(
     check_workers(workers, scheduler)
     if (bus and trips) or (branch and not trips):
         raise SweepError("--bus is of faults and --branch of --trips, allowed: the one that fits")
-    _check_above_0({"--step": step, "--solver-step": solver_step})
     pages = ("screen.json", "screen.csv", "screen.html", *(["explorer.html"] if explore else []))
     folder_for(out, files=pages)
     screening = Screening(

@@ -32,6 +32,8 @@ Switch = Annotated[bool, Field(strict=True)]
 Name = Annotated[str, Field(strict=True, max_length=64, pattern=r"^\S(.*\S)?$")]
 
 
+LARGEST_EXPONENT = 20.0  #: of a load; what is measured lies below 10
+Exponent = Annotated[float, Field(strict=True, ge=0.0, le=LARGEST_EXPONENT)]
 LEAST_IMPEDANCE_PU = 1e-9  #: of a branch; a smaller one drowns all others in rounding
 
 
@@ -98,8 +100,8 @@ class Load(Row):
     bus: BusNumber  #: number of its bus
     P_mw: Number  #: at the power flow's voltage
     Q_mvar: Number  #: at the power flow's voltage
-    P_exponent: NonNegative = 2.0  #: P follows V to this power; 2: constant impedance, 0: constant power
-    Q_exponent: NonNegative = 2.0  #: Q follows V to this power
+    P_exponent: Exponent = 2.0  #: P follows V to this power; 2: constant impedance, 0: constant power
+    Q_exponent: Exponent = 2.0  #: Q follows V to this power
     #: shares of constant impedance, current and power instead of the exponent
     P_zip: tuple[Number, Number, Number] | None = None
     #: shares of constant impedance, current and power instead of the exponent

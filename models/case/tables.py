@@ -22,6 +22,7 @@ from .vsc_schema import Vsc
 
 Named = TypeVar("Named", Branch, Load, Machine, Shunt)
 
+RATED_HZ = (1.0, 1000.0)  #: least and largest rated frequency: 16.7 of railways, 400 of aircraft
 SOLVER_STEP_S = (1e-6, 0.1)  #: least and longest Runge-Kutta step of a plant, s
 SolverStep = Annotated[float, Field(ge=SOLVER_STEP_S[0], le=SOLVER_STEP_S[1])]
 
@@ -35,7 +36,7 @@ class CaseTables(Table):
     name: Annotated[str, Field(strict=True, max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
     title: Title = ""  #: in a line what it is
     source: str  #: where the data come from; a table of rows can have its own
-    frequency_hz: Positive  #: rated frequency
+    frequency_hz: Annotated[float, Field(strict=True, ge=RATED_HZ[0], le=RATED_HZ[1])]  #: rated frequency
     base_mva: Positive  #: system base of per-unit values
     solver_step_s: SolverStep | None = None  #: of the plant FMU; None: its default
     #: machines whose difference of speeds a run is judged by; None: taken from the inter-area mode's shape

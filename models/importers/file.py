@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from ..case.schema import LARGEST_EXPONENT
+from ..case.tables import RATED_HZ
 from ..errors import CaseError
 from ..grid.powerflow import solve_powerflow
 from ..grid.start import release_limits as release_limits_of
@@ -53,6 +55,8 @@ def import_grid(
     CaseError : no such file, another format, an option that is not allowed, or what the format's own reader
         refuses.
     """
+    _check_choices(converters, dc_lines)
+    _check_numbers(frequency_hz, P_exponent=P_exponent, Q_exponent=Q_exponent)
     how: dict[str, Any] = {
         "frequency_hz": frequency_hz,
         "P_exponent": P_exponent,
@@ -70,8 +74,6 @@ def import_grid(
     if not file.is_file():
         what = "is a folder" if file.is_dir() else "is no regular file" if file.exists() else "no such file"
         raise CaseError(f"{file}: {what}, allowed: {FORMATS}, or {', '.join(PUBLISHED)}")
-    _check_choices(converters, dc_lines)
-    _check_numbers(frequency_hz, P_exponent=P_exponent, Q_exponent=Q_exponent)
     suffix = (Path(file.stem) if file.suffix.lower() in _PACKED else file).suffix.lower()
     if suffix == ".m":
         if dyr is not None:
@@ -107,11 +109,12 @@ def _check_choices(converters: str, dc_lines: str) -> None:
 
 
 def _check_numbers(frequency_hz: float | None, **exponents: float | None) -> None:
-    if frequency_hz is not None and not frequency_hz > 0.0:
-        raise CaseError(f"frequency = {frequency_hz:g}, allowed: above 0 Hz")
+    low, high = RATED_HZ
+    if frequency_hz is not None and not low <= frequency_hz <= high:
+        raise CaseError(f"frequency = {frequency_hz:g}, allowed: {low:g} to {high:g} Hz")
     for name, exponent in exponents.items():
-        if exponent is not None and not exponent >= 0.0:
-            raise CaseError(f"{name} = {exponent:g}, allowed: 0 (constant power) or above")
+        if exponent is not None and not 0.0 <= exponent <= LARGEST_EXPONENT:
+            raise CaseError(f"{name} = {exponent:g}, allowed: 0 (constant power) to {LARGEST_EXPONENT:g}")
 
 
 def _started(imported: Imported, *, release: bool) -> Imported:

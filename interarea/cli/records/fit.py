@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ...command_usage import ABOVE_0_S
 from ..terminal import busy, note, print_table
 from .options import RecordFile, Units, Window, opened
 
@@ -26,7 +27,13 @@ def fit(
         str, typer.Option("--parameters", metavar="KEY,KEY", help="such as H,exciter.KA; none: play in alone")
     ] = "",
     rest: Annotated[
-        float, typer.Option("--rest", metavar="S", help="how long the record is at rest at its start, s")
+        float,
+        typer.Option(
+            "--rest",
+            metavar="S",
+            help="how long the record is at rest at its start, s",
+            callback=ABOVE_0_S,
+        ),
     ] = 0.5,
     window: Window = None,
     unit: Units = None,

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ...command_usage import UsageMistake, within
 from ..terminal import busy, note, print_table
 from .options import Band, CaseName, RecordFile, Units, Window, band_of, case_named, opened
 
@@ -27,7 +28,12 @@ def locate(
     band: Band = None,
     frequency: Annotated[
         float | None,
-        typer.Option("--frequency", metavar="HZ", help="of the oscillation; the largest by itself"),
+        typer.Option(
+            "--frequency",
+            metavar="HZ",
+            help="of the oscillation; the largest by itself",
+            callback=within(above=0.0, unit="Hz"),
+        ),
     ] = None,
     window: Window = None,
     unit: Units = None,
@@ -35,6 +41,11 @@ def locate(
 ) -> None:
     """Locate an oscillation: by the energy flow at each terminal and, with --case, by the grid's model."""
     region = band_of(band)
+    if band is not None and frequency is not None:
+        raise UsageMistake(
+            f"locate: --band {band} with --frequency {frequency:g}: one says where to look, "
+            "the other where the oscillation is, allowed: one of them"
+        )
     grid = case_named(case)
     record = opened(file, window, unit, grid.frequency_hz if grid else 60.0)
     flow, failed = _by_energy(file, record, region, frequency, grid)

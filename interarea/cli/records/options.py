@@ -65,9 +65,13 @@ def case_named(name: str | None) -> Case | None:
 
 def band_of(text: str | None) -> tuple[float, float]:
     """Return the frequencies (Hz) of `--band`, or those looked at without it."""
+    from interarea.cosim.records.record import RecordError
     from interarea.cosim.records.signals import BAND_HZ
 
-    return BAND_HZ if text is None else _numbers(text, "--band", "LOW:HIGH in Hz, such as 0.1:2.5")
+    band = BAND_HZ if text is None else _numbers(text, "--band", "LOW:HIGH in Hz, such as 0.1:2.5")
+    if not band[0] >= 0.0:
+        raise RecordError(f"--band {text!r}, allowed: frequencies of 0 or more, in Hz")
+    return band
 
 
 def _numbers(text: str, option: str, wanted: str) -> tuple[float, float]:

@@ -218,7 +218,7 @@ def test_screen_writes_its_page_and_says_how_many_slip(interarea, tmp_path: Path
         (("--branch", "7-8 a"), "--branch of --trips"),
         (("--clearing", "soon"), "--clearing = soon, allowed"),
         (("--clearing", "0 cycles"), "--clearing = 0 cycles, allowed"),
-        (("--workers", "0"), "--workers = 0, allowed"),
+        (("--workers", "0"), "--workers N: got 0, allowed: at least 1"),
         (("--controller", "rubost"), "rubost"),
         (("--outage", "7-80"), "7-80"),
     ],

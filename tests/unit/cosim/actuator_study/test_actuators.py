@@ -162,7 +162,7 @@ def test_a_fault_is_not_survived_where_the_loop_grows_later_than_the_run_shows(
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["actuators", "--mva", "0"], "--mva 0: allowed: above 0"),
+        (["actuators", "--mva", "0"], "--mva MVA: got 0, allowed: above 0, in MVA"),
         (["actuators", "--mva", "500"], "--mva 500: hvdc1 (LCC dc link) of two-area-actuators has 100 MVA"),
         (
             ["actuators", "--actuator", "flywheel"],
