@@ -26,9 +26,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any
 
+from interarea.fmu_build.errors import FmuFileError
 from interarea.fmu_build.open.fmu_file import FmuFile
 from interarea.fmu_build.open.ports import DLL_SUFFIXES, Description
 from interarea.fmu_build.write.lane_library import GroupLibrary
+from interarea.models.documents import require_regular
 from interarea.models.processes import end_with_parent
 
 from ..errors import ScenarioError, StepError
@@ -260,6 +262,7 @@ class RealCodeParticipant(_Worker):
         start: Mapping[str, Value] | None = None,
         time_limit_s: float | None = None,
     ) -> None:
+        require_regular(path, "an IEEE/CIGRE DLL", FmuFileError)  # loading a pipe would wait for ever
         super().__init__(name, path, TIME_LIMIT_S if time_limit_s is None else time_limit_s)
         self.stops_early = False
         self.log = FmuLog(name, lambda: self.time_s)

@@ -16,6 +16,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from interarea.models.documents import require_regular
 from interarea.models.files import settle
 
 from ..errors import SweepError
@@ -60,6 +61,7 @@ def write_part(folder: Path, kind: str, number: int, table: pa.Table) -> None:
 
 def check_part(path: Path) -> None:
     """Raise SweepError when a part is not what its name says was written."""
+    require_regular(path, "a part of a sweep's results", SweepError)
     if path.stem.split("-")[2:] != [_checksum(path)]:
         raise SweepError(
             f"{path}: is damaged; give the command of the sweep again, which does its runs again"
@@ -78,6 +80,18 @@ def _checksum(path: Path) -> str:
 # -- what is asked of a folder of results ---------------------------------------------------
 
 
+def read_json(path: Path) -> Any:
+    """Return what manifest.json or sweep.json holds.
+
+    Raises
+    ------
+    SweepError : no regular file. FileNotFoundError, UnicodeDecodeError, JSONDecodeError
+    """
+    if path.exists():
+        require_regular(path, "a file of a sweep's results", SweepError)
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
 def read_plan(folder: Path) -> SweepPlan:
     """Return the plan of a result folder.
 
@@ -86,10 +100,10 @@ def read_plan(folder: Path) -> SweepPlan:
     SweepError : no results there, or of another format.
     """
     try:
-        manifest = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
+        manifest = read_json(folder / "manifest.json")
         if manifest.get("format") != FORMAT:
             raise SweepError(f"{folder}: results of format {manifest.get('format')!r}, allowed: {FORMAT}")
-        return plan_of_document(json.loads((folder / "sweep.json").read_text(encoding="utf-8")))
+        return plan_of_document(read_json(folder / "sweep.json"))
     except FileNotFoundError as error:
         name = Path(str(error.filename)).name
         raise SweepError(f"{folder}: no results of a sweep here ({name} is missing)") from None

@@ -28,7 +28,18 @@ import pyarrow.parquet as pq
 from interarea.models.files import locked, write_whole
 
 from ..errors import SweepError
-from .parts import CURVES, FORKED, ROWS, check_part, curves_of, number_of, parts_of, summary_of, write_part
+from .parts import (
+    CURVES,
+    FORKED,
+    ROWS,
+    check_part,
+    curves_of,
+    number_of,
+    parts_of,
+    read_json,
+    summary_of,
+    write_part,
+)
 from .plan import FORMAT, SweepPlan
 from .rows import Outcome, schema_of
 
@@ -261,8 +272,7 @@ def _check_alone(folder: Path) -> None:
 
 def _check_manifest(path: Path, plan: SweepPlan) -> None:
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-        old = json.loads(path.with_name("sweep.json").read_text(encoding="utf-8"))
+        data, old = read_json(path), read_json(path.with_name("sweep.json"))
     except (OSError, json.JSONDecodeError, UnicodeDecodeError) as error:
         raise SweepError(f"{path}: is damaged ({error}); use another folder") from None
     new = json.loads(json.dumps(plan.document()))

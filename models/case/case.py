@@ -181,7 +181,8 @@ def devices_of(texts: Any, where: str) -> Mapping[str, Model]:
     ------
     CaseError : not such an entry, or a device file that is wrong.
     """
-    if not isinstance(texts, Mapping) or not all(isinstance(v, str) for kv in texts.items() for v in kv):
+    held = isinstance(texts, Mapping) and all(isinstance(v, str) for kv in texts.items() for v in kv)
+    if not held or any(text.endswith(".toml") for text in texts.values()):
         raise CaseError(f"{where}: devices = {str(texts)[:60]!r}, {_DEVICES}")
     try:
         return own_models(texts)
