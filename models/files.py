@@ -14,6 +14,7 @@ import errno
 import lzma
 import os
 import shutil
+import signal
 import sys
 import tempfile
 import time
@@ -224,9 +225,23 @@ def temporary_files_in(folder: Path) -> Iterator[None]:
         tempfile.tempdir = before
 
 
+def temporary_root() -> Path:
+    """Return the folder for temporary files, absolute.
+
+    Python tries it by a file when it is first asked for it; a signal must not leave that there.
+    """
+    if not hasattr(signal, "pthread_sigmask"):
+        return Path(tempfile.gettempdir()).absolute()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGTERM, signal.SIGHUP))
+    try:
+        return Path(tempfile.gettempdir()).absolute()
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 def new_folder(parent: Path | None = None) -> Path:
     """Return a new folder below `parent`, absolute; it is removed when the process ends, if not before."""
-    root = Path(tempfile.gettempdir() if parent is None else parent).absolute()
+    root = temporary_root() if parent is None else parent.absolute()
     own = _own.get((os.getpid(), root))
     if own is None or not own.folder.is_dir():
         sweep(root)

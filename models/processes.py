@@ -13,7 +13,6 @@ import os
 import signal
 import subprocess
 import sys
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -21,7 +20,7 @@ from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from pathlib import Path
 from typing import TypeVar
 
-from .files import remove_own_folders, sweep
+from .files import remove_own_folders, sweep, temporary_root
 
 _POSIX = os.name == "posix"
 _GUARD = Path(__file__).with_name("guard.py")
@@ -138,7 +137,7 @@ def _lives(process: int) -> bool:
 def end_at_once() -> None:
     """End this process, wherever its main thread is; its temporary folders and its parent's, if dead, go."""
     remove_own_folders()
-    own = Path(tempfile.gettempdir())
+    own = temporary_root()
     for folder in (own, *own.parents):  # a worker's own lies in the parent's
         sweep(folder)
     os._exit(1)
@@ -174,5 +173,5 @@ def process_pool(count: int) -> Iterator[ProcessPoolExecutor]:
         for process in list((pool._processes or {}).values()):
             process.kill()
         pool.shutdown(cancel_futures=True)
-        sweep(Path(tempfile.gettempdir()))
+        sweep(temporary_root())
         raise

@@ -31,6 +31,7 @@ from interarea.fmu_build.open.fmu_file import FmuFile
 from interarea.fmu_build.open.ports import DLL_SUFFIXES, Description
 from interarea.fmu_build.write.lane_library import GroupLibrary
 from interarea.models.documents import require_regular
+from interarea.models.files import temporary_root
 from interarea.models.processes import end_with_parent
 
 from ..errors import ScenarioError, StepError
@@ -166,7 +167,7 @@ class _Worker(ABC):
 
     def _spawn(self) -> Any:
         self.close()
-        self._said = tempfile.TemporaryFile()  # noqa: SIM115
+        self._said = tempfile.TemporaryFile(dir=temporary_root())  # noqa: SIM115
         self._process = subprocess.Popen(
             [sys.executable, "-m", "interarea.cosim.master.isolated", str(os.getpid())],
             stdin=subprocess.PIPE,

@@ -13,6 +13,7 @@ from interarea.design.synthesis.study_designs import SPECIFICATIONS as DESIGNS
 from interarea.design.synthesis.study_designs import StudySpec
 from interarea.models.bundled import bundled_elsewhere
 from interarea.models.case.case import load_case
+from interarea.models.case.document import case_names
 from interarea.models.documents import in_seconds
 from interarea.models.errors import Collected
 from interarea.models.mistakes import mistakes
@@ -45,7 +46,8 @@ def load_study(name: str) -> Mapping[str, Any]:
         if (other := bundled_elsewhere(name, "study")) is not None:
             raise ScenarioError(f"{name} {other}")
         raise ScenarioError(
-            f"study {name!r} is neither bundled nor a TOML file; {nearest(name, study_names())}"
+            f"study {name!r} is no bundled study, grid or file; "
+            + nearest(name, [*study_names(), *case_names()])
         )
     provided = read_toml(path, "study", ScenarioError)
     if isinstance(provided.get("case"), str):

@@ -8,7 +8,6 @@ import os
 import shutil
 import signal
 import sys
-import tempfile
 import threading
 import time
 from collections import Counter, deque
@@ -21,7 +20,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from interarea.models.files import new_folder, temporary_files_in
+from interarea.models.files import new_folder, temporary_files_in, temporary_root
 
 from ...errors import SweepError
 from ..plan import SweepPlan
@@ -243,7 +242,7 @@ def _sockets() -> Path:
     The name of a socket has at most 107 bytes, of which multiprocessing adds 32.
     """
     own = new_folder()
-    return own if len(os.fsencode(own)) <= 107 - 32 else Path(tempfile.gettempdir())
+    return own if len(os.fsencode(own)) <= 107 - 32 else temporary_root()
 
 
 @contextmanager

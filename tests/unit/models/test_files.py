@@ -8,13 +8,21 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
 import pytest
 
 from interarea.models import files
-from interarea.models.files import new_folder, remove_left, sweep, temporary_folder, write_whole
+from interarea.models.files import (
+    new_folder,
+    remove_left,
+    sweep,
+    temporary_folder,
+    temporary_root,
+    write_whole,
+)
 
 MAKES_ONE = """
 import sys, time
@@ -156,3 +164,26 @@ def test_what_is_no_file_is_written_to() -> None:
         pytest.skip("no /dev/stdout here")
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "text"
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="signals cannot be held there")
+def test_a_signal_leaves_nothing_of_the_trial_of_the_temporary_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It comes after the file by which Python tries the folder is made, before that is removed."""
+    unlink, before = os.unlink, signal.signal(signal.SIGTERM, signal.default_int_handler)
+
+    def late(path: str) -> None:
+        signal.raise_signal(signal.SIGTERM)
+        unlink(path)
+
+    monkeypatch.setattr(os, "unlink", late)
+    monkeypatch.setattr(tempfile, "tempdir", None)
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            temporary_root()
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert not list(tmp_path.iterdir())
+    assert temporary_root() == tmp_path
