@@ -1,21 +1,23 @@
 """Parameters of a machine with its controls from a record: which it shows, their values and covariance.
 
 Gauss-Newton (Levenberg, Marquardt) on P and Q of the machine played in (`play_in.py`), each over its noise,
-in shares of the start values; the power at rest is fitted as well. Sensitivities are differences of two runs
-that take the same steps. Before anything is fitted, the singular values of the sensitivities say which
-combinations the record does not show within `LIMIT`; of each such combination the parameter that is most of
-it stays as it is and is named (Golub and Van Loan 2013, 5.5).
+in shares of the start values; the power at rest is fitted as well, and the instant of each jump of the
+voltage within the step of the record that has it. Sensitivities are differences of two runs that take the
+same steps. Before anything is fitted, the singular values of the sensitivities say which combinations the
+record does not show within `LIMIT`; of each such combination the parameter that is most of it stays as it is
+and is named (Golub and Van Loan 2013, 5.5).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from scipy.stats import norm
 
 from interarea.models.case.case import Case
@@ -33,6 +35,8 @@ _CLOSE = 1e-3  # of a value: what the last step may change
 _MOST_STEPS = 20
 _FARTHEST = 0.4  # of a value: what one step may change
 _JUMP_PU = 0.01  # second difference of a voltage: between two frames the record does not say when
+_BESIDE = 0.3  # of a jump: what the voltage may move in the steps beside it, for its instant to be fitted
+_MOST_JUMPS = 8  # whose instants are fitted
 _AROUND = 3  # frames on both sides of a jump that are not judged
 _FLOOR = 0.005  # of what P and Q move: errors of a model that is straight between frames are not less
 _PARTNER = 0.3  # component of a singular direction that names a parameter
@@ -90,7 +94,11 @@ class Fit:
 
 @dataclass(eq=False)
 class _Problem:
-    """What is minimised. judged : (points,) whether a point counts. noise : (2,) of P and Q."""
+    """What is minimised. judged : (points,) whether a point counts. noise : (2,) of P and Q.
+
+    jumps : points after which the voltage jumps. What is fitted beside the parameters, `other`: P and Q at
+    rest, then of each jump where it is within its step, 0 to 1.
+    """
 
     bench: Bench
     names: tuple[str, ...]
@@ -98,10 +106,12 @@ class _Problem:
     measured: Array
     judged: Array
     noise: Array
+    jumps: tuple[int, ...]
 
-    def run(self, u: Array, power: Array) -> Array:
+    def run(self, u: Array, other: Array) -> Array:
         values = {n: float(s * v) for n, s, v in zip(self.names, self.starts, u, strict=True)}
-        y = self.bench.run(values, complex(power[0], power[1]))
+        jumps = dict(zip(self.jumps, other[2:].tolist(), strict=True))
+        y = self.bench.run(values, complex(other[0], other[1]), jumps)
         if not np.all(np.isfinite(y)):
             raise RecordError(f"{self.bench.machine}: unstable with {values}")
         return y
@@ -109,18 +119,39 @@ class _Problem:
     def rest(self, y: Array) -> Array:
         return np.asarray(((y - self.measured)[self.judged] / self.noise).ravel())
 
-    def slopes(self, u: Array, power: Array, y: Array) -> Array:
-        """Return the derivatives of `rest` by shares of the parameters, then by P and Q at rest."""
+    def slopes(self, u: Array, other: Array, y: Array) -> Array:
+        """Return the derivatives of `rest` by shares of the parameters, then by `other`."""
         columns = []
         for k in range(len(u)):
             moved = u.copy()
             moved[k] += _STEP
-            columns.append((self.rest(self.run(moved, power)) - self.rest(y)) / _STEP)
-        for k in range(2):
-            moved = power.copy()
-            moved[k] += _STEP
-            columns.append((self.rest(self.run(u, moved)) - self.rest(y)) / _STEP)
+            columns.append((self.rest(self.run(moved, other)) - self.rest(y)) / _STEP)
+        for k in range(len(other)):
+            step = -_STEP if k >= 2 and other[k] > 0.5 else _STEP  # within the step of the record
+            moved = other.copy()
+            moved[k] += step
+            columns.append((self.rest(self.run(u, moved)) - self.rest(y)) / step)
         return np.column_stack(columns)
+
+    def moved(self, slopes: Array, y: Array, other: Array, damping: float) -> Array:
+        """Return the step of Gauss-Newton; a jump that would leave its step of the record goes to its end."""
+        n = len(self.names)
+        rest, step = self.rest(y), np.zeros(slopes.shape[1])
+        free = np.ones(len(step), bool)
+        for _ in range(len(self.jumps) + 1):
+            own = slopes[:, free]
+            normal = own.T @ own
+            normal += damping * np.diag(np.diag(normal))
+            left = rest + slopes[:, ~free] @ step[~free]
+            step[free] = -np.linalg.solve(normal, own.T @ left)
+            reached = other + step[n:]
+            out = free[n:] & ((reached < 0.0) | (reached > 1.0))
+            out[:2] = False
+            if not out.any():
+                break
+            step[n:][out] = np.clip(reached[out], 0.0, 1.0) - other[out]
+            free[n:][out] = False
+        return step
 
 
 def fitted(
@@ -154,10 +185,11 @@ def fitted(
         raise RecordError(
             f"{record.source}: P or Q of {machine} never moves, wanted: a record with a disturbance"
         )
-    power = np.array([bench.power0.real, bench.power0.imag])
-    problem = _Problem(bench, names, starts, measured, judged, noise)
+    jumps = _jumps(terminal.V * np.exp(1j * terminal.angle))
+    other = np.array([bench.power0.real, bench.power0.imag, *[0.5] * len(jumps)])
+    problem = _Problem(bench, names, starts, measured, judged, noise, jumps)
     progress("with the parameters of the case")
-    y = first = problem.run(np.ones(len(names)), power)
+    y = first = problem.run(np.ones(len(names)), other)
     kept_as_is: dict[str, str] = {}
     shown: tuple[Parameter, ...] = ()
     covariance = np.zeros((0, 0))
@@ -165,11 +197,11 @@ def fitted(
     if not judged.all():
         notes.append(f"{np.sum(np.logical_not(judged))} frames beside jumps of the voltage are not judged")
     if names:
-        slopes = problem.slopes(np.ones(len(names)), power, y)
+        slopes = problem.slopes(np.ones(len(names)), other, y)
         visible = _shown(slopes, names, kept_as_is)
-        problem = _Problem(bench, tuple(names[k] for k in visible), starts[visible], measured, judged, noise)
-        columns = slopes[:, [*visible, len(names), len(names) + 1]]
-        u, power, y, covariance = _minimised(problem, columns, power, y, progress)
+        problem = replace(problem, names=tuple(names[k] for k in visible), starts=starts[visible])
+        columns = slopes[:, [*visible, *range(len(names), slopes.shape[1])]]
+        u, y, covariance = _minimised(problem, columns, other, y, progress)
         wide = float(norm.ppf(0.5 + 0.5 * LEVEL))
         scale = problem.starts
         covariance = covariance * np.outer(scale, scale)
@@ -211,6 +243,14 @@ def _judged(V: Array) -> Array:
     return judged
 
 
+def _jumps(V: npt.NDArray[np.complex128]) -> tuple[int, ...]:
+    """Return after which points the phasor jumps within one step; none where there are too many."""
+    moves = np.abs(np.diff(V))
+    beside = np.maximum(moves[:-2], moves[2:])
+    jumps = 1 + np.flatnonzero((moves[1:-1] > _JUMP_PU) & (beside < _BESIDE * moves[1:-1]))
+    return tuple(jumps.tolist()) if len(jumps) <= _MOST_JUMPS else ()
+
+
 def _noise(values: Array) -> Array:
     """Return the deviation of what is white in each column, by its second differences."""
     second = np.diff(values, 2, axis=0)
@@ -221,7 +261,7 @@ def _shown(slopes: Array, names: Sequence[str], kept_as_is: dict[str, str]) -> l
     """Return which parameters the record shows; say of the others in `kept_as_is` why not."""
     places = list(range(len(names)))
     while places:
-        rest = slopes[:, -2:]
+        rest = slopes[:, len(names) :]
         own = slopes[:, places]
         own = own - rest @ np.linalg.lstsq(rest, own, rcond=None)[0]
         _, sigma, right = np.linalg.svd(own, full_matrices=False)
@@ -238,21 +278,19 @@ def _shown(slopes: Array, names: Sequence[str], kept_as_is: dict[str, str]) -> l
 
 
 def _minimised(
-    problem: _Problem, slopes: Array, power: Array, y: Array, progress: Callable[[str], object]
-) -> tuple[Array, Array, Array, Array]:
-    """Return shares of the start values, power at rest, P and Q, and the covariance of the shares."""
+    problem: _Problem, slopes: Array, other: Array, y: Array, progress: Callable[[str], object]
+) -> tuple[Array, Array, Array]:
+    """Return shares of the start values, P and Q, and the covariance of the shares."""
     n = len(problem.names)
     u, damping = np.ones(n), 0.0
     misfit = float(np.sum(problem.rest(y) ** 2))
     for k in range(_MOST_STEPS):
         progress(f"step {k + 1}")
-        normal = slopes.T @ slopes
-        normal += damping * np.diag(np.diag(normal))
-        step = -np.linalg.solve(normal, slopes.T @ problem.rest(y))
+        step = problem.moved(slopes, y, other, damping)
         size = float(np.max(np.abs(step[:n] / u), initial=0.0))
         step *= min(1.0, _FARTHEST / max(size, 1e-300))
         try:
-            moved = problem.run(u + step[:n], power + step[n:])
+            moved = problem.run(u + step[:n], other + step[n:])
             better = float(np.sum(problem.rest(moved) ** 2))
         except UserError:  # values that the case refuses, or with which the machine is unstable
             better = math.inf
@@ -261,21 +299,21 @@ def _minimised(
                 break
             damping = max(10.0 * damping, 1e-2)
             continue
-        u, power, y, misfit, damping = u + step[:n], power + step[n:], moved, better, 0.1 * damping
+        u, other, y, misfit, damping = u + step[:n], other + step[n:], moved, better, 0.1 * damping
         if size < _CLOSE:
             break
-        slopes = problem.slopes(u, power, y)
+        slopes = problem.slopes(u, other, y)
     else:
         raise RecordError(
             f"{problem.bench.machine}: no fit within {_MOST_STEPS} steps from the values of the case, "
             "wanted: fewer parameters, or start values nearer to the machine's"
         )
-    slopes = problem.slopes(u, power, y)
+    slopes = problem.slopes(u, other, y)
     rest = problem.rest(y).reshape(-1, 2)
     spread = np.sqrt(np.mean(rest**2, axis=0))
     weighted = (slopes.reshape(len(rest), 2, -1) / spread[:, None]).reshape(2 * len(rest), -1)
     covariance = np.linalg.pinv(weighted.T @ weighted) * _together(rest)
-    return u, power, y, covariance[:n, :n]
+    return u, y, covariance[:n, :n]
 
 
 def _together(rest: Array) -> float:

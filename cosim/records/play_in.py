@@ -4,7 +4,8 @@ The machine stands at a bus between two ideal sources. Their angles, theta plus 
 recorded phasor V exp(j theta) of the terminal out of two constant EMFs E. The plant is that of every run, in
 model exchange: its states go on by the W-method ROS2 (Verwer et al. 1999: second order with any matrix, here
 that at rest, and L-stable, so that a time constant of a millisecond asks for no short steps), those of the
-sources follow the record, which is straight between its points.
+sources follow the record, which is straight between its points. In a step with a jump it goes on as before up
+to an instant, and from there on as after.
 """
 
 from __future__ import annotations
@@ -203,8 +204,15 @@ class Bench:
             case = with_value(case, self.machine, path, value)
         return case
 
-    def run(self, values: Mapping[str, float], power: complex | None = None) -> Array:
+    def run(
+        self,
+        values: Mapping[str, float],
+        power: complex | None = None,
+        jumps: Mapping[int, float] | None = None,
+    ) -> Array:
         """Return P and Q (points, 2), pu of the case's base, with `values` by path, at rest at `power`.
+
+        jumps : point -> share of the step after it at which the voltage jumps from there to the next.
 
         Raises
         ------
@@ -216,18 +224,35 @@ class Bench:
         with temporary_folder() as folder:
             fmu = build_fmu(block, folder / "plant.fmu", cache=self._cache)
             with open_plant(fmu) as plant:
-                return self._played(plant)
+                return self._played(plant, jumps or {})
 
-    def _played(self, plant: PlantFmu) -> Array:
+    def _driven(self, many: int, jumps: Mapping[int, float]) -> tuple[Array, Array]:
+        """Return the angles of the sources (steps, 2) as each of `many` steps a point begins and ends."""
+        seen = np.column_stack([self.terminal.V, self.terminal.angle])
+        sides = []
+        for side in (0, 1):
+            share = ((np.arange(many) + side) / many)[:, None]
+            values = seen[:-1, None] * (1.0 - share) + seen[1:, None] * share
+            for k, instant in jumps.items():  # the mean over a step is that of the jump within it
+                before = np.clip(instant * many - np.arange(many), 0.0, 1.0)[:, None]
+                after = np.clip(2.0 * (1.0 - before) - (1 - side), 0.0, 1.0)
+                old = seen[k] + (seen[k] - seen[k - 1]) * share
+                new = seen[k + 1] - (seen[k + 2] - seen[k + 1]) * (1.0 - share)
+                values[k] = old * (1.0 - after) + new * after
+            V, angle = values.reshape(-1, 2).T
+            apart = np.arccos(np.clip(V / (2.0 * self.V0), 0.0, 1.0))
+            turn = angle - self.angle0
+            sides.append(np.column_stack([turn + apart, turn - apart]))
+        return sides[0], sides[1]
+
+    def _played(self, plant: PlantFmu, jumps: Mapping[int, float]) -> Array:
         t = self.terminal
         many = max(1, math.ceil(t.step_s / _STEP_S - 1e-9))
         h = t.step_s / many
-        at = np.arange(many * (len(t.V) - 1) + 1) / many
-        points = np.arange(len(t.V))
-        turn = np.interp(at, points, t.angle) - self.angle0
-        apart = np.arccos(np.clip(np.interp(at, points, t.V) / (2.0 * self.V0), 0.0, 1.0))
+        begins, ends = self._driven(many, jumps)
+        first, last = self._driven(1, {})
+        points = np.concatenate([first, last[-1:]])
         places = [plant.state_names.index(f"{name}.delta") for name in _SOURCES]
-        driven = np.column_stack([turn + apart, turn - apart])
         p, q = (plant.output_names.index(f"branch[out].{letter}") for letter in "pq")
         x, _ = plant.operating_point()
         A = plant.jacobians()[0]
@@ -236,7 +261,7 @@ class Bench:
         z, dx, y = np.empty_like(x), np.empty_like(x), np.empty((len(t.V), 2))
         rates = plant.rates_between(z, dx)
         for k in range(len(t.V)):
-            x[places] = driven[many * k]
+            x[places] = points[k]
             z[:] = x
             rates()
             seen = plant.outputs()
@@ -244,12 +269,12 @@ class Bench:
             if not math.isfinite(y[k, 0]) or k == len(t.V) - 1:
                 break
             for j in range(many * k, many * (k + 1)):
-                x[places] = driven[j]
+                x[places] = begins[j]
                 z[:] = x
                 rates()
                 k1 = solved @ dx
                 z[:] = x + h * k1
-                z[places] = driven[j + 1]
+                z[places] = ends[j]
                 rates()
                 x += h * (1.5 * k1 + 0.5 * (solved @ (dx - 2.0 * k1)))
         return y

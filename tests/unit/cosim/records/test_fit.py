@@ -12,6 +12,8 @@ import pytest
 from command_line import invoke
 
 import interarea as ia
+from interarea.cosim.records.fit import _jumps
+from interarea.cosim.records.play_in import Bench, Terminal
 from interarea.cosim.records.record import Record, RecordError
 
 CASE = "two-area-thesis"
@@ -113,3 +115,46 @@ def test_what_cannot_be_played_in_is_refused_in_one_line(
     ]
     with pytest.raises(RecordError, match="no voltage at G1, bus1, "):
         ia.fit(record.only(some), CASE, "G1")
+
+
+@pytest.mark.parametrize("instant", [0.0, 0.2, 0.5, 0.77, 1.0])
+def test_a_jump_has_its_instant_in_the_mean_over_a_step(instant: float) -> None:
+    """What the sources follow adds up to the voltage before the jump until then, and to that after it."""
+    V = np.array([1.0, 1.0, 0.6, 0.6])
+    bench = Bench.__new__(Bench)
+    bench.V0, bench.angle0 = 1.0, 0.0
+    bench.terminal = Terminal(0.01, V, np.zeros(4), V, V, 1)
+    begins, ends = bench._driven(5, {1: instant})
+    seen = np.array([2.0 * np.cos(0.5 * (side[:, 0] - side[:, 1])) for side in (begins, ends)])
+    assert np.mean(seen[:, 5:10]) == pytest.approx(instant * 1.0 + (1.0 - instant) * 0.6, abs=1e-12)
+    assert seen[:, :5] == pytest.approx(1.0)
+    assert seen[:, 10:] == pytest.approx(0.6)
+
+
+def test_a_jump_is_found_in_the_step_that_has_it_and_a_swing_is_none() -> None:
+    swing = 1.0 + 0.1 * np.sin(2.0 * np.pi * 2.0 * np.arange(200) * 0.01) + 0j
+    assert _jumps(swing) == ()
+    swing[100:110] *= 0.8 * np.exp(0.1j)
+    assert _jumps(swing) == (99, 109)
+
+
+@pytest.mark.slow
+def test_a_record_of_a_fault_gives_parameters_within_one_percent() -> None:
+    """The record has the fault at 1 s and 1.1 s exactly: at the end of the steps that it jumps in."""
+    fault = [{"kind": "bus_fault", "bus": 9, "start_s": 1.0, "end_s": 1.1, "x_pu": 0.01}]
+    start = {"H": 1.25, "exciter.KA": 0.7, "stabilizer.K": 1.3}
+    truth = {"H": 6.5, "exciter.KA": 200.0, "stabilizer.K": 12.4424}
+    case = ia.load_case(CASE)
+    for name, value in truth.items():
+        change: object = value * start[name]
+        for key in reversed(name.split(".")):
+            change = {key: change}
+        case = case.with_changes({"machines": {"G1": change}})
+    made = ia.simulate({"case": CASE, "stop_s": 6.0, "controller": "none", "show": PLACES, "event": fault})
+    with tempfile.TemporaryDirectory() as folder:
+        made.save(folder)
+        record = ia.read_record(Path(folder) / "trajectory.parquet")
+    result = ia.fit(record, case, "G1", list(truth), rest_s=0.9)
+    assert {p.name for p in result.parameters} == set(truth)
+    for p in result.parameters:
+        assert p.value == pytest.approx(truth[p.name], rel=0.01)
