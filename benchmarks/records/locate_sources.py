@@ -1,11 +1,15 @@
-"""Of random forced oscillations on a grid, how many sources and kinds `locate --case` names.
+"""Of forced oscillations on a grid, how many sources and kinds `locate --case` names.
 
     python benchmarks/records/locate_sources.py --case wecc-240 --records 20
+    python benchmarks/records/locate_sources.py --contest
 
 Each record is a run of the full nonlinear plant with one source (mechanical power, voltage reference, load),
 every fifth record with two, at .15 to 1.2 Hz. Half of the buses with a machine or load and a tenth of the
-branches are seen for 80 s, at 30 frames a second with white noise (`NOISE`), one sample of twenty lost.
-Printed: named with place and kind; named as one of several units of that kind at that bus; not named; wrong.
+branches are seen for 80 s, at 30 frames a second with white noise (`NOISE`; `--see frequency` takes
+the frequency of a bus with `NOISE_HZ` in place of its angle), one sample of twenty lost. Printed: named with
+place and kind; named as one of several units of that kind at that bus; not named; wrong.
+
+`--contest` takes the 13 oscillations of `contest.py` instead, of the kinds of the contest of 2021.
 """
 
 from __future__ import annotations
@@ -15,13 +19,18 @@ import time
 
 import numpy as np
 import pandas as pd
+from contest import Wave, contest
 
 import interarea as ia
 from interarea.cosim.records.model_source import LOAD, MECHANICAL, REFERENCE, source_by_model
+from interarea.cosim.records.playback import Playback
+from interarea.cosim.records.record import Channel, Record
 from interarea.cosim.run.artefacts import sparse_linear_plant
 from interarea.fmu_build.write.cache import default_cache
 
 NOISE = 1e-4  # pu and rad, white
+NOISE_HZ = 1e-3
+APART_S = 0.005  # of two angles that make a frequency
 LOST = 0.05
 START_S, STOP_S = 30.0, 110.0
 ON = {MECHANICAL: "mechanical_power", REFERENCE: "voltage_reference", LOAD: "load"}
@@ -33,31 +42,46 @@ def main() -> None:
     parser.add_argument("--case", default="wecc-240")
     parser.add_argument("--records", type=int, default=20)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--see", choices=("angle", "frequency"), default="angle")
+    parser.add_argument("--contest", action="store_true")
     options = parser.parse_args()
-    case = ia.load_case(options.case)
+    case, tasks = contest() if options.contest else (ia.load_case(options.case), None)
     plant = sparse_linear_plant(case, default_cache())
     counts = dict.fromkeys(("right", "one of several", "not named", "wrong"), 0)
-    first_two = 0
-    for number in range(options.records):
+    first_two, asked = 0, 0
+    for number in range(options.records if tasks is None else len(tasks)):
         rng = np.random.default_rng((options.seed, number))
-        f = round(float(np.exp(rng.uniform(np.log(0.15), np.log(1.2)))), 4)
-        events, truth = sources(case, plant, rng, f, 2 if number % 5 == 4 else 1)
-        record = recorded(case, events, rng)
-        began = time.perf_counter()
-        answer = source_by_model(record, case, plant, frequency_hz=f)
-        took = time.perf_counter() - began
-        named = answer.source
-        if named is None:
-            kind = "not named"
-        elif truth in [pairs(each) for each in (named, *answer.others)]:
-            kind = "one of several" if answer.others else "right"
+        if tasks is None:
+            f = round(float(np.exp(rng.uniform(np.log(0.15), np.log(1.2)))), 4)
+            events, truth = sources(case, plant, rng, f, 2 if number % 5 == 4 else 1)
+            name, waves, lines = "", (), {f: truth}
         else:
-            kind = "wrong"
-        counts[kind] += 1
-        first_two += truth in [pairs(c) for c in answer.candidates if len(c.places) == len(truth)][:2]
-        print(f"{number:3d} {f:.3f} Hz {sorted(truth)}: {kind}; {answer.why} ({took:.2f} s)", flush=True)
-    print(f"{options.case}, {options.records} records: " + ", ".join(f"{k} {v}" for k, v in counts.items()))
+            name, events, waves, lines = tasks[number]
+        events = [{**event, "kind": "oscillation", "start_s": 0.0, "end_s": STOP_S} for event in events]
+        record = recorded(case, events, rng, waves, options.see)
+        for f, truth in lines.items():
+            began = time.perf_counter()
+            answer = source_by_model(record, case, plant, frequency_hz=f)
+            took = time.perf_counter() - began
+            kind = verdict(answer, truth)
+            counts[kind] += 1
+            asked += 1
+            first_two += truth in [pairs(c) for c in answer.candidates if len(c.places) == len(truth)][:2]
+            print(
+                f"{number:3d} {name} {f:.3f} Hz {sorted(truth)}: {kind}; {answer.why} ({took:.2f} s)",
+                flush=True,
+            )
+    print(f"{case.name}, {asked} lines: " + ", ".join(f"{k} {v}" for k, v in counts.items()))
     print(f"the source among the first two candidates: {first_two}")
+
+
+def verdict(answer, truth):
+    """Return what an answer is beside the true {(place, kind)}."""
+    if answer.source is None:
+        return "not named"
+    if truth in [pairs(each) for each in (answer.source, *answer.others)]:
+        return "one of several" if answer.others else "right"
+    return "wrong"
 
 
 def sources(case, plant, rng, f, count):
@@ -74,40 +98,56 @@ def sources(case, plant, rng, f, count):
         key = "load" if kind == LOAD else "machine"
         events.append(
             {
-                "kind": "oscillation",
                 "on": ON[kind],
                 key: place,
                 "frequency_hz": f,
                 "size_pu": SIZE[kind],
-                "start_s": 0.0,
-                "end_s": STOP_S,
             }
         )
         truth.add((place, kind))
     return events, truth
 
 
-def recorded(case, events, rng):
+def recorded(case, events, rng, waves, see):
     """Return what PMUs at half of the buses see of a run."""
     buses = sorted({m.bus for m in case.machines} | {load.bus for load in case.loads})
     seen = rng.permutation(buses)[: max(len(buses) // 2, 2)]
     branches = [b.name for b in case.branches if b.in_service]
     lines = rng.permutation(branches)[: max(len(branches) // 10, 2)]
-    show = [f"bus{b}.{q}" for b in seen for q in ("v", "angle")]
+    of_bus = ("v", "angle") if see == "angle" else ("v", "re", "im")
+    show = [f"bus{b}.{q}" for b in seen for q in of_bus]
     show += [f"branch[{b}].{q}" for b in lines for q in ("p", "q")]
-    scenario = {"case": case.name, "controller": "none", "stop_s": STOP_S, "event": events, "show": show}
-    frame = ia.simulate(scenario).to_frame()
+    frame = run(case, events, waves, show)
     time_s = np.arange(START_S, STOP_S, 1.0 / 30.0)
     columns = {}
     for name in frame.columns:
-        if name.removeprefix("plant.") not in show:
-            continue
-        values = np.interp(time_s, frame.index, frame[name])
-        values = values + NOISE * rng.standard_normal(len(values))
-        columns[name] = values
+        if name.removeprefix("plant.") in show and not name.endswith((".re", ".im")):
+            values = np.interp(time_s, frame.index, frame[name])
+            columns[name] = values + NOISE * rng.standard_normal(len(values))
+    for bus in seen if see == "frequency" else ():
+        V = frame[f"plant.bus{bus}.re"] + 1j * frame[f"plant.bus{bus}.im"]
+        angle = np.unwrap(np.angle(V))
+        early, late = (np.interp(time_s + side, frame.index, angle) for side in (-APART_S, APART_S))
+        f = case.frequency_hz + (late - early) / (4.0 * np.pi * APART_S)
+        columns[f"bus{bus} F [Hz]"] = f + NOISE_HZ * rng.standard_normal(len(f))
     noisy = pd.DataFrame(columns, index=pd.Index(time_s, name="time_s"))
     noisy[rng.random(noisy.shape) < LOST] = np.nan
     return ia.read_record(noisy)
+
+
+def run(case, events, waves, show):
+    """Return the table of a run with oscillations, and with waves on inputs of the plant."""
+    system = ia.System(stop_s=STOP_S, step_s=Wave.step_s if waves else None).plant(case, show=show)
+    for event in events:
+        system.event(**event)
+    for wave in waves:
+        time_s = np.arange(0.0, STOP_S, wave.step_s)
+        swing = wave.size_pu * np.sin(2.0 * np.pi * wave.frequency_hz * time_s)
+        sent = Record(wave.input, time_s, swing[:, None], (Channel("wave", "other", "pu", ""),))
+        system.add(Playback(wave.input, sent, "wave", start_s=0.0)).connect(
+            f"{wave.input}.y", f"plant.{wave.input}"
+        )
+    return system.run().to_frame()
 
 
 def pairs(candidate):
