@@ -60,7 +60,9 @@ def main() -> int:
             seconds(command, folder, folder / "cache")
         for k in range(runs):
             for what, (command, empty, _) in ROWS.items():
-                times[what].append(seconds(command, folder, folder / (f"new{k}" if empty else "cache")))
+                times[what].append(
+                    seconds(command, folder, folder / (f"new {k} {what}" if empty else "cache"))
+                )
     missed = False
     print(f"{'median of ' + str(runs):<24} {'wall s':>7} {'processor s':>11} {'wanted':>6}")
     for what, rows in times.items():
