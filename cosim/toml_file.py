@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -35,3 +36,11 @@ def read_toml(path: Path, wanted: str, error: type[Exception]) -> dict[str, Any]
     if other is not None:
         raise error(f"{path}: {other}")
     return table
+
+
+def case_beside(keys: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """Return the keys of a design, its `case` as a path where it names a file of the folder."""
+    case = keys.get("case")
+    if isinstance(case, str) and case.endswith(".toml") and (folder / case).is_file():
+        return {**keys, "case": str(folder / case)}
+    return dict(keys)

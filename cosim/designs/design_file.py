@@ -26,7 +26,7 @@ from interarea.models.mistakes import mistakes
 from interarea.models.table import Table
 
 from ..errors import ScenarioError, nearest
-from ..toml_file import read_toml
+from ..toml_file import case_beside, read_toml
 from .acceptance import AcceptanceTable, judge_acceptance
 from .certificate_words import not_covered
 from .design_tables import (
@@ -217,7 +217,7 @@ def _controller(name: str) -> Controller:
 
 
 def load_design(path: str | Path) -> DesignTable:
-    """Read and check a design file, or the bundled one of that name.
+    """Read and check a design file, or the bundled one of that name. A case beside it is meant by its name.
 
     Raises ScenarioError naming file, key, value and what is allowed.
     """
@@ -228,7 +228,7 @@ def load_design(path: str | Path) -> DesignTable:
         other = bundled_elsewhere(str(path), "design")
         what = other or f"is neither a file nor bundled; {nearest(str(path), design_names())}"
         raise ScenarioError(f"design {str(path)!r} {what}")
-    return design_of(read_toml(file, "design", ScenarioError), where=str(path))
+    return design_of(case_beside(read_toml(file, "design", ScenarioError), file.parent), where=str(path))
 
 
 def design_of(keys: Mapping[str, Any], *, where: str = "design") -> DesignTable:

@@ -44,6 +44,10 @@ class GridDesign:
         """The certificate as JSON values."""
         return dict(self.controller.certificate or {})
 
+    def because(self, lines: tuple[str, ...]) -> GridDesign:
+        """Return the design with more reasons."""
+        return replace(self, proposal=replace(self.proposal, reasons=(*self.proposal.reasons, *lines)))
+
 
 def design_grid(
     case: Case,
@@ -67,24 +71,15 @@ def design_grid(
     report(DESIGN_STAGES[0], 0.0)
     weak = weak_modes(modes_of_grid(case, cache), choices)
     report(DESIGN_STAGES[0], 1.0)
-    return design_for(weak, cache, clock, name=name, named=named, report=report)
+    findings = findings_of(weak, cache, clock, report=report)
+    return design_for(findings, cache, clock, name=name, named=named, report=report)
 
 
-def design_for(
-    weak: WeakModes,
-    cache: Path,
-    clock: Clock,
-    *,
-    name: str = "",
-    named: str = "",
-    report: Report = lambda stage, share: None,
-    shown: Callable[[Findings], object] = lambda findings: None,
-) -> GridDesign:
-    """Try sets of loops until a design holds what is asked, or return the best within the time.
-
-    Arguments and errors as `design_grid`. shown : called with what is found before the first search.
-    """
-    _, loops, search, faults = DESIGN_STAGES
+def findings_of(
+    weak: WeakModes, cache: Path, clock: Clock, *, report: Report = lambda stage, share: None
+) -> Findings:
+    """Return what a grid shows before a design (`find`), reported as one of `DESIGN_STAGES`."""
+    loops = DESIGN_STAGES[1]
     shares = {"loops": (0.0, 0.8), "operating points": (0.8, 0.2)}
 
     def relayed(step: str, share: float) -> None:
@@ -93,7 +88,24 @@ def design_for(
 
     findings = find(weak, cache, clock, progress=relayed)
     report(loops, 1.0)
-    shown(findings)
+    return findings
+
+
+def design_for(
+    findings: Findings,
+    cache: Path,
+    clock: Clock,
+    *,
+    name: str = "",
+    named: str = "",
+    report: Report = lambda stage, share: None,
+) -> GridDesign:
+    """Try sets of loops until a design holds what is asked, or return the best within the time.
+
+    findings : of the grid. Other arguments and errors as `design_grid`.
+    """
+    _, _, search, faults = DESIGN_STAGES
+    weak = findings.weak
     weakest = {"base": weak.weakest.damping_ratio} | {r.point.name: r.least for r in findings.points}
     designs: list[GridDesign] = []
     problem = ""
@@ -128,8 +140,9 @@ def design_for(
     report(faults, 1.0)
     if not clock.left_out:
         return best
-    line = f"Within {clock.minutes:g} minutes there was no time for: {'; '.join(clock.left_out)}."
-    return replace(best, proposal=replace(best.proposal, reasons=(*best.proposal.reasons, line)))
+    return best.because(
+        (f"Within {clock.minutes:g} minutes there was no time for: {'; '.join(clock.left_out)}.",)
+    )
 
 
 def _searched(table: DesignTable, cache: Path, progress: Callable[[float], object]) -> Controller:

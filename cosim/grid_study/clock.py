@@ -10,26 +10,29 @@ from .choices import MINUTES
 
 #: stage -> share of the whole time by when it begins nothing more; what it does not need is left to the next
 ENDS = {
-    "loops": 0.15,
-    "operating points": 0.25,
-    "search": 0.55,
-    "faults": 0.75,
-    "local stabilizers": 0.85,
-    "own-signal rival": 0.92,
+    "loops": 0.12,
+    "operating points": 0.2,
+    "local stabilizers": 0.35,
+    "search": 0.68,
+    "faults": 0.86,
+    "own-signal rival": 0.93,
     "latency": 1.0,
     "links": 1.0,
 }
+#: where the grid with its local stabilizers is looked at once more
+ENDS_AGAIN = {"loops": 0.42, "operating points": 0.48}
 #: shares of the whole time for the search of one set of loops: each first guess, and the stage that follows
 GUESS, SEARCH = 0.025, 0.1
 
 
 @dataclass
 class Clock:
-    """Runs from when it was made. left_out : in words, what there was no time for."""
+    """Runs from when it was made. left_out : in words, what there was no time for. ends : of its stages."""
 
     minutes: float = MINUTES
     left_out: list[str] = field(default_factory=list)
     now: Callable[[], float] = monotonic
+    ends: dict[str, float] = field(default_factory=lambda: dict(ENDS))
 
     def __post_init__(self) -> None:
         self._begin = self.now()
@@ -42,7 +45,7 @@ class Clock:
         >>> clock.over("operating points"), clock.over("operating points")
         (False, True)
         """
-        return self.now() - self._begin > ENDS[stage] * 60.0 * self.minutes
+        return self.now() - self._begin > self.ends[stage] * 60.0 * self.minutes
 
     def seconds(self, share: float) -> float:
         """Return a share of the whole time, s.
@@ -51,6 +54,10 @@ class Clock:
         60.0
         """
         return share * 60.0 * self.minutes
+
+    def again(self) -> None:
+        """Let the first stages be done once more, until the ends of `ENDS_AGAIN`."""
+        self.ends |= ENDS_AGAIN
 
     def leave(self, text: str) -> None:
         """Keep what there was no time for, once."""

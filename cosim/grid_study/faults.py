@@ -24,6 +24,7 @@ from ..designs.design_file import DesignTable, design_record
 from ..designs.family import family_cases
 from .clock import Clock
 
+TIME_OVER = "not judged, the time was over"  #: ends what is held against a controller without having been run
 #: output limits that are tried until no fault is lost that holds without control, pu: a guard that watches a
 #: lost signal limits nothing, and a smaller output adds less to a first swing
 LIMITS_PU = (0.05, 0.02, 0.01)
@@ -140,7 +141,7 @@ def _judged(table: DesignTable, controller: Controller, faults: Acceptance, miss
     """Return the controller with these faults beside the linear rows of its certificate."""
     linear = dict(controller.certificate or {})
     acceptance = faults.as_dict()
-    not_run = [f"non-linear faults at {point}: not judged, the time was over" for point in missing]
+    not_run = [f"non-linear faults at {point}: {TIME_OVER}" for point in missing]
     violations = [*linear["violations"], *faults.violations, *not_run]
     certificate = linear | {
         "acceptance": acceptance,

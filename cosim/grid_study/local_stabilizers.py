@@ -24,20 +24,25 @@ from interarea.fmu_build.write.cache import cached_json, code_hash, content_hash
 from interarea.models.errors import InterareaError
 
 from ..designs.design_file import DesignTable, certify, design_of, judged_by
-from ..designs.family import FamilyPlant
+from ..designs.family import DENSE_STATES, FamilyPlant, at_point
 from .choices import WEAK
 from .clock import Clock
-from .faults import falls_short, judged_with_faults
+from .faults import TIME_OVER, falls_short, judged_with_faults
 from .weak_modes import WeakModes
 
 MOST = 6  #: machines that get one
-WASHOUT_S = 10.0
+JUDGED_POINTS = (
+    2  #: operating points of a design at which gains are chosen: the grid as it is, its worst outage
+)
+#: s; without governors a grid's speed goes on rising after a fault, which behind 10 s holds an output at its
+#: limit (New England); its phase at the mode is made up for by the lead-lags
+WASHOUT_S = 3.0
 #: degrees that one lead-lag makes up at most, and that a machine may need in all
 STAGE_DEG, MOST_DEG = 55.0, 150.0
 MOST_GAIN = 50.0  #: pu per pu of speed: what field stabilizers are set to at most [Kundur1994, sec. 12.5]
 #: damping ratio that each is to add to its mode to first order, tried for all together
 ADDED = (0.02, 0.05, 0.1, 0.15, 0.2, 0.3)
-FACTORS = (0.5, 2.0)  #: on the gain of one of them at a time, after that
+FACTORS = (0.5, 2.0, 0.7, 1.4)  #: on the gain of one of them at a time, after that
 STAGE = "local stabilizers"  #: of `clock.ENDS`
 
 
@@ -153,15 +158,16 @@ def local_rival(
     if not units:
         return None
     name = f"{wide.name}_local"
-    key = content_hash(weak.case.hash, [asdict(one) for one in units], code_hash(__name__))
+    table = _table(wide, units, name)
+    points = [point.model_dump(mode="json") for point in table.point]
+    key = content_hash(weak.case.hash, [asdict(one) for one in units], points, code_hash(__name__))
 
     def tuned() -> list[dict[str, Any]]:
-        return [asdict(one) for one in _with_gains(weak, units, clock, cache)]
+        return [asdict(one) for one in _with_gains(weak, table, units, clock, cache)]
 
     stabilizers = [Stabilizer(**one) for one in cached_json(cache, "grid-local", key, tuned)]
     progress(0.3)
     controller = as_controller(stabilizers, weak.case.omega_b, name, wide.limit_pu)
-    table = _table(wide, stabilizers, name)
     judged_by_key = content_hash(
         table.grid.hash, table.model_dump(mode="json"), controller.as_dict(), code_hash(certify.__module__)
     )
@@ -176,25 +182,31 @@ def local_rival(
     )
 
 
-def which_to_build(wide: Controller, local: Controller | None, asked: tuple[float, float]) -> str:
+def which_to_build(
+    wide: Controller, local: Controller | None, asked: tuple[float, float], installed: Sequence[str] = ()
+) -> str:
     """Return in a sentence which to build.
 
-    asked : inter-area damping, damping of every swing.
+    asked : inter-area damping, damping of every swing. installed : machines with
+    a stabilizer of `local` in the grid that `wide` is for.
     """
     if local is None:
         return "no machine can be tuned by residue phase: a wide-area loop is what there is"
     machines = ", ".join(name.removesuffix("_dw") for name in local.inputs)
     there = f"local stabilizers at {machines} reach {_reached(local)}"
     afar = f"the wide-area loop {_reached(wide)}"
-    if _passed(local):
+    if _passed(local) or (_only_time(local) and not _passed(wide)):
         adds = (wide.certificate or {})["inter_area"] - (local.certificate or {})["inter_area"]
+        not_run = "" if _passed(local) else f" (not all faults were run: {_missed(local)})"
         return (
             f"local stabilizers are enough, no link is needed: at {machines} they reach {_reached(local)}, "
-            f"with any one lost; the wide-area loop would add {adds:+.3f} inter-area"
+            f"with any one lost{not_run}; the wide-area loop would add {adds:+.3f} inter-area"
         )
+    if installed:
+        return _both(wide, local, asked, there, installed)
     if _passed(wide):
         return f"build the wide-area loop: {afar}; {there}, which misses {_missed(local)}"
-    wide_first = _short(wide, asked) >= _short(local, asked)
+    wide_first = _nearness(wide, asked) >= _nearness(local, asked)
     better = "wide-area loop comes" if wide_first else "local stabilizers come"
     return (
         f"neither holds all that is asked; the {better} nearer: {afar} and misses {_missed(wide)}; "
@@ -202,8 +214,24 @@ def which_to_build(wide: Controller, local: Controller | None, asked: tuple[floa
     )
 
 
+def _both(
+    wide: Controller, local: Controller, asked: tuple[float, float], there: str, installed: Sequence[str]
+) -> str:
+    both = f"with a wide-area loop beside those at {', '.join(installed)} {_reached(wide)}"
+    if _passed(wide):
+        return f"build both: {there} and miss {_missed(local)}; {both}, and nothing is missed"
+    alone = "" if _nearness(wide, asked) >= _nearness(local, asked) else "; the stabilizers alone come nearer"
+    missed = f"{there} and miss {_missed(local)}; {both} and misses {_missed(wide)}"
+    return f"not all that is asked is held{alone}: {missed}"
+
+
 def _passed(controller: Controller) -> bool:
     return bool((controller.certificate or {})["passed"])
+
+
+def _only_time(controller: Controller) -> bool:
+    """Whether nothing but faults that were not run is held against a controller."""
+    return all(line.endswith(TIME_OVER) for line in (controller.certificate or {})["violations"])
 
 
 def _missed(controller: Controller) -> str:
@@ -216,9 +244,12 @@ def _reached(controller: Controller) -> str:
     return f"inter-area {certificate['inter_area']:.3f} and every swing {certificate['worst_swing']:.3f}"
 
 
-def _short(controller: Controller, asked: tuple[float, float]) -> tuple[bool, float]:
-    unstable, short = falls_short(controller.certificate or {}, *asked)
-    return unstable == 0, short
+def _nearness(controller: Controller, asked: tuple[float, float]) -> tuple[int, int, float]:
+    """Return how near a controller comes: unstable loops, faults that it loses, damping that is missed."""
+    certificate = controller.certificate or {}
+    unstable, short = falls_short(certificate, *asked)
+    faults = certificate["acceptance"] or {}
+    return -unstable, -sum(len(faults.get(kind, ())) for kind in ("lost", "standing", "unstable")), short
 
 
 def _table(wide: DesignTable, stabilizers: Sequence[Stabilizer], name: str) -> DesignTable:
@@ -244,32 +275,53 @@ def _table(wide: DesignTable, stabilizers: Sequence[Stabilizer], name: str) -> D
     return table
 
 
-def _with_gains(weak: WeakModes, units: Sequence[Stabilizer], clock: Clock, cache: Path) -> list[Stabilizer]:
-    """Return stabilizers with the gains that damp the grid as it is best: all together, then one by one."""
-    signals = tuple(f"{one.machine}_dw" for one in units)
-    actuators = tuple(f"{one.machine}_vs" for one in units)
-    plant = FamilyPlant.of(weak.case, signals, actuators, cache)
-    band = inter_area_band(plant.modes)
-
-    def reached(gains: Sequence[float]) -> float:
-        ones = [replace(one, K=K) for one, K in zip(units, gains, strict=True)]
-        K = as_controller(ones, weak.case.omega_b, "tried", 1.0).system
-        try:
-            (row,) = judge_family({"base": plant.judged}, K, [Condition("N")], bands_hz={"base": band}).rows
-        except InterareaError:  # a loop of which not all modes are known
-            return -np.inf
-        return min(row.inter_area, WEAK) + min(row.worst_swing, WEAK) if row.stable else -np.inf
-
+def _with_gains(
+    weak: WeakModes, table: DesignTable, units: Sequence[Stabilizer], clock: Clock, cache: Path
+) -> list[Stabilizer]:
+    """Return stabilizers with the gains that damp the grid best: all together, then one by one."""
+    reached = _damping_of_gains(weak, table, units, cache)
     gain_sets = [[min(added * one.K, MOST_GAIN) for one in units] for added in ADDED]
     values = [reached(gains) for gains in gain_sets]
     best, value = max(zip(gain_sets, values, strict=True), key=lambda row: row[1])
-    for k in range(len(units)):
-        for factor in FACTORS:
-            if clock.over(STAGE):
-                clock.leave("gains of single local stabilizers")
-                break
-            gains = [min(factor * K, MOST_GAIN) if j == k else K for j, K in enumerate(best)]
-            there = reached(gains)
-            if there > value:
-                best, value = gains, there
+    for factor, k in ((factor, k) for factor in FACTORS for k in range(len(units))):
+        if clock.over(STAGE):
+            clock.leave("gains of single local stabilizers")
+            break
+        gains = [min(factor * K, MOST_GAIN) if j == k else K for j, K in enumerate(best)]
+        there = reached(gains)
+        if there > value:
+            best, value = gains, there
     return [replace(one, K=K) for one, K in zip(units, best, strict=True)]
+
+
+def _damping_of_gains(
+    weak: WeakModes, table: DesignTable, units: Sequence[Stabilizer], cache: Path
+) -> Callable[[Sequence[float]], tuple[float, float]]:
+    """Return what gains are judged by: what they miss of what is asked, then what they damp up to `WEAK`.
+
+    Of each the worst of what is there with all of them and with each out, at the first points of `table`;
+    of a large grid with all of them, as it is.
+    """
+    large = weak.plant.nstates > DENSE_STATES
+    points = table.point[: 1 if large else JUDGED_POINTS]
+    lost = [] if large else [Condition(f"L:{signal}", (signal,)) for signal in table.signals]
+    cases = {point.name: at_point(weak.case, point) for point in points}
+    plants = {n: FamilyPlant.of(c, table.signals, table.actuators, cache) for n, c in cases.items()}
+    bands = {name: inter_area_band(plant.modes) for name, plant in plants.items()}
+    judged = {name: plant.judged for name, plant in plants.items()}
+    asked = (table.ask.inter_area, table.ask.worst_swing)
+
+    def reached(gains: Sequence[float]) -> tuple[float, float]:
+        ones = [replace(one, K=K) for one, K in zip(units, gains, strict=True)]
+        K = as_controller(ones, weak.case.omega_b, "tried", 1.0).system
+        try:
+            rows = judge_family(judged, K, [Condition("N"), *lost], bands_hz=bands).rows
+        except InterareaError:  # a loop of which not all modes are known
+            return -np.inf, -np.inf
+        if not all(row.stable for row in rows):
+            return -np.inf, -np.inf
+        least = (min(row.inter_area for row in rows), min(row.worst_swing for row in rows))
+        missed = sum(min(value - wanted, 0.0) for value, wanted in zip(least, asked, strict=True))
+        return missed, sum(min(value, WEAK) for value in least)
+
+    return reached

@@ -33,7 +33,8 @@ class TriedPoint:
     """A change to the grid and what it does to the modes without control.
 
     least : damping ratio of the worst inter-area mode there. moved : largest relative change of any such
-    mode's eigenvalue. modes : all that were found. problem : why it is no point, in words.
+    mode's eigenvalue; 0 where a stabilizer is out. modes : all that were found. problem : why it is no point,
+    in words.
     """
 
     point: PointTable
@@ -50,12 +51,14 @@ def tried_points(
     *,
     progress: Callable[[float], object] = lambda share: None,
 ) -> tuple[TriedPoint, ...]:
-    """Try other loads and tie flows, and the outages of branches whose power swings most in the weak modes.
+    """Try other loads and tie flows, and outages: of local stabilizers, of branches that swing most.
 
     As many as there is time for.
     """
     others = [PointTable(name=f"load {100 * (k - 1):+.0f} %", load_scale=k) for k in LOADS]
     others += _tie_points(weak.case)
+    without = [f"no stabilizer at {machine}" for machine in weak.stabilized]
+    others += [PointTable(name=name, vary=(name,)) for name in without]
     rows: list[TriedPoint] = []
     for k, point in enumerate(others):
         progress(k / (USABLE + len(others)))
@@ -74,15 +77,22 @@ def tried_points(
 
 
 def chosen_points(tried: Sequence[TriedPoint]) -> tuple[PointTable, ...]:
-    """Return the points of a design: the grid as it is, outages that leave least or move most, the rest."""
+    """Return the points of a design: the grid as it is, outages that leave least or move most, the rest.
+
+    Outages are those of branches and of local stabilizers.
+    """
     usable = [row for row in tried if not row.problem]
-    same = {(round(row.least, 3), round(row.moved, 2)): row for row in reversed(usable) if row.point.out}
+    same = {(round(row.least, 3), round(row.moved, 2)): row for row in reversed(usable) if _outage(row)}
     outages = list(same.values())[::-1]  # of circuits in parallel or in series one
     worst = sorted(outages, key=lambda row: row.least)[: KEPT // 2]
     rest = [row for row in outages if row not in worst]
     most = sorted(rest, key=lambda row: -row.moved)[: KEPT - len(worst)]
-    others = [row for row in usable if not row.point.out and row.moved >= MOVED]
+    others = [row for row in usable if not _outage(row) and row.moved >= MOVED]
     return (PointTable(name="base"), *(row.point for row in (*worst, *most, *others)))
+
+
+def _outage(row: TriedPoint) -> bool:
+    return bool(row.point.out or row.point.vary)
 
 
 def _swinging_branches(weak: WeakModes) -> list[str]:
@@ -112,7 +122,8 @@ def _tried(weak: WeakModes, point: PointTable, cache: Path) -> TriedPoint:
     try:
         grid = modes_of_grid(at_point(weak.case, point), cache)
         there = LoopPoint(point.name, grid.plant, grid.all_modes.modes)
-        pairs = [(target, there.like(target)) for target in weak.targets]
+        same = grid.plant.nstates == weak.plant.nstates  # not where a stabilizer is out
+        pairs = [(target, there.like(target)) for target in weak.targets if same]
     except InterareaError as error:
         return TriedPoint(point, problem=str(error).splitlines()[0])
     if not grid.growth.stable:

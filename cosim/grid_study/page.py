@@ -82,22 +82,8 @@ def headline(study: Mapping[str, Any]) -> tuple[str, ...]:
             f"The least damped inter-area mode without control is {least['name']}, "
             f"{least['frequency_hz']:.2f} Hz, damping ratio {least['damping_ratio']:.3f}."
         )
-    if (certificate := study.get("certificate")) is not None:
-        lines.append(
-            f"With the controller designed here it is at least {certificate['inter_area']:.3f} at every "
-            "operating point, latency and loss of one signal that was judged."
-        )
-        short = [row["point"] for row in study.get("left_out", ()) if not _holds(row, study["asked"])]
-        if short:
-            lines.append(
-                "At operating points that are not in the design it falls short of what was asked: "
-                f"{', '.join(dict.fromkeys(short))}."
-            )
-        if certificate.get("modes") is not None:
-            lines.append(f"While nothing is lost {most_taken(certificate['modes'])}.")
-        if missed := len(certificate["violations"]):
-            lines.append(f"It misses {missed} of what was asked, first: {certificate['violations'][0]}.")
-        lines.append(sentence(in_words(certificate["acceptance"])))
+    if study.get("certificate") is not None:
+        lines += _reached(study)
     if "worth" in study:
         lines.append(sentence(study["worth"]["sentence"]))
     if "local" in study:
@@ -105,6 +91,29 @@ def headline(study: Mapping[str, Any]) -> tuple[str, ...]:
     if study["problem"]:
         lines.append(f"It stops here: {study['problem']}.")
     return tuple(lines)
+
+
+def _reached(study: Mapping[str, Any]) -> list[str]:
+    """Return what the controller of a study reaches and misses, a sentence each."""
+    certificate = study["certificate"]
+    lines = []
+    beside = "the local stabilizers and " if (study.get("local") or {}).get("installed") else ""
+    lines.append(
+        f"With {beside}the controller designed here it is at least {certificate['inter_area']:.3f} at "
+        "every operating point, latency and loss of one signal that was judged."
+    )
+    short = [row["point"] for row in study.get("left_out", ()) if not _holds(row, study["asked"])]
+    if short:
+        lines.append(
+            "At operating points that are not in the design it falls short of what was asked: "
+            f"{', '.join(dict.fromkeys(short))}."
+        )
+    if certificate.get("modes") is not None:
+        lines.append(f"While nothing is lost {most_taken(certificate['modes'])}.")
+    if missed := len(certificate["violations"]):
+        lines.append(f"It misses {missed} of what was asked, first: {certificate['violations'][0]}.")
+    lines.append(sentence(in_words(certificate["acceptance"])))
+    return lines
 
 
 def _holds(row: Mapping[str, Any], asked: Mapping[str, float]) -> bool:

@@ -13,10 +13,12 @@ from threadpoolctl import threadpool_limits
 
 from interarea.design.controllers.controller import Controller, plain
 from interarea.design.delay.signal_conditions import Condition
+from interarea.design.errors import InfeasibleDesign
 from interarea.design.modes.loop_points import LoopSet
 from interarea.design.robust.operating_points import inter_area_band, judge_family
 from interarea.fmu_build.write.cache import cached_json, code_hash, content_hash, place
 from interarea.models.case.case import Case
+from interarea.models.case.write_toml import export_toml
 from interarea.models.errors import InterareaError
 from interarea.models.files import write_whole
 
@@ -26,15 +28,23 @@ from ..designs.worth import design_rival, has_rival, with_rival, worth
 from ..errors import ScenarioError, machine_error
 from ..run.artefacts import plant_fmu
 from ..run.controllers import controller_fmu
-from .automatic import DESIGN_STAGES, Report, design_for
+from .automatic import DESIGN_STAGES, GridDesign, Report, design_for, findings_of
+from .beside_local import beside_local, leaves_something
 from .choices import WEAK, Choices
 from .clock import Clock
 from .local_stabilizers import local_rival, which_to_build
 from .page import mode_shapes, write_page
-from .proposal import Findings, Proposal
-from .weak_modes import in_words, modes_of_grid, weak_modes
+from .proposal import Findings, Proposal, propose
+from .weak_modes import WeakModes, in_words, modes_of_grid, weak_modes
 
-STAGES = (*DESIGN_STAGES, "local stabilizers", "own-signal rival", "latency", "FMUs and page")
+STAGES = (
+    *DESIGN_STAGES[:2],
+    "local stabilizers",
+    *DESIGN_STAGES[2:],
+    *("own-signal rival", "latency", "FMUs and page"),
+)
+#: the grid with its local stabilizers, where a wide-area loop is designed for what they leave
+STABILIZED = "with_stabilizers.toml"
 #: s, of all signals: curves of damping
 LATENCIES_S = (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5)
 
@@ -55,15 +65,16 @@ def study_grid(
     named : how the design file names the case. assumptions : made while its data were read, for the page.
     command : that repeats the study. choices : of a person; default none but the grid.
 
-    Writes report.html (from the first second on), study.json, design.toml, controller.json, local.json and
-    fmus/. What cannot be had stands in the place of its part, with the reason, under `problem`.
+    Writes report.html (from the first second on), study.json, design.toml, controller.json, local.json,
+    fmus/, and `STABILIZED` where the wide-area loop is designed for that grid. What cannot be had stands in
+    the place of its part, with the reason, under `problem`.
 
     Raises
     ------
     OSError, or what it caused : the machine cannot do it (a full disk, no memory). CaseError : no operating
     point.
     """
-    modes, (beside, rival, latency, last) = STAGES[0], STAGES[len(DESIGN_STAGES) :]
+    modes, (rival, latency, last) = STAGES[0], STAGES[-3:]
     choices = choices or Choices(grid=case.name)
     clock = Clock(choices.minutes)
     study: dict[str, Any] = {
@@ -92,26 +103,21 @@ def study_grid(
             study["loops"] = [_loop_row(one) for one in weak.sets]
             written()
 
-            def show(findings: Findings) -> None:
-                study.update(_findings(findings))
-                written()
-
-            done = design_for(weak, cache, clock, named=named, report=report, shown=show)
+            findings = findings_of(weak, cache, clock, report=report)
+            study |= _findings(findings)
+            written()
+            done, local = _designed(findings, out, cache, clock, named, report)
             table, controller = done.proposal.table, done.controller
             study["certificate"] = controller.certificate
             study |= _findings(done.proposal.findings, done.proposal) | _proposed(done.proposal)
+            study["local"] = _local(done, local, out / "local.json")
             write_whole(out / "design.toml", done.proposal.text().encode())
             written()
-            report(beside, 0.0)
-            local = local_rival(weak, table, cache, clock, progress=lambda share: report(beside, 0.9 * share))
-            study["local"] = _local(controller, local, table, out / "local.json")
-            written()
-            report(beside, 1.0)
             report(rival, 0.0)
             if has_rival(table) and clock.over(rival):
                 clock.leave("the rival that sees own signals alone")
             elif has_rival(table):
-                controller = with_rival(controller, _rival(table, case, cache, report))
+                controller = with_rival(controller, _rival(table, cache, report))
             report(rival, 1.0)
             study["worth"] = worth(table, controller, cache).as_dict()
             controller.save(out / "controller.json")
@@ -120,12 +126,12 @@ def study_grid(
             if clock.over(latency):
                 clock.leave("damping over latency")
             else:
-                study["latency"] = _over_latency(table, controller, case, cache)
+                study["latency"] = _over_latency(table, controller, cache)
                 written()
             study["left_out"] = _left_out(done.proposal, controller, cache, clock)
             report(latency, 1.0)
             report(last, 0.0)
-            place(plant_fmu(case, cache), out / "fmus" / "plant.fmu")
+            place(plant_fmu(table.grid, cache), out / "fmus" / "plant.fmu")
             place(controller_fmu(controller, case.omega_b, cache), out / "fmus" / "controller.fmu")
         except InterareaError as error:
             if machine_error(error) is not None:
@@ -137,6 +143,35 @@ def study_grid(
         write_whole(out / "study.json", f"{text}\n".encode())
         report(last, 1.0)
     return study
+
+
+def _designed(
+    findings: Findings, out: Path, cache: Path, clock: Clock, named: str, report: Report
+) -> tuple[GridDesign, Controller | None]:
+    """Tune local stabilizers, then design a wide-area loop: for what they leave where that is something.
+
+    Returns the design, of the grid with its stabilizers or without, and the local stabilizers by themselves.
+    """
+    beside, weak = STAGES[2], findings.weak
+    report(beside, 0.0)
+    first = propose(findings, findings.sets[0], cache, clock, case=named)
+    local = local_rival(weak, first.table, cache, clock, progress=lambda share: report(beside, 0.9 * share))
+    stabilized: WeakModes | None = None
+    lines: tuple[str, ...] = ()
+    if local is not None and leaves_something(local, first.table.ask):
+        stabilized = beside_local(weak, local, cache)
+    report(beside, 1.0)
+    if stabilized is not None:
+        clock.again()
+        try:
+            again = findings_of(stabilized, cache, clock, report=report)
+            export_toml(stabilized.case, out / STABILIZED)
+            name = f"{first.table.name}_with_stabilizers"
+            return design_for(again, cache, clock, name=name, named=STABILIZED, report=report), local
+        except InfeasibleDesign as error:
+            lines = (f"No loop came out for the grid with local stabilizers: {error}.",)
+    done = design_for(findings, cache, clock, named=named, report=report)
+    return done.because(lines), local
 
 
 def defaults_of(case: Case, cache: Path) -> tuple[dict[str, Any], list[str]]:
@@ -196,24 +231,27 @@ def _proposed(proposal: Proposal) -> dict[str, Any]:
     }
 
 
-def _local(wide: Controller, local: Controller | None, table: DesignTable, file: Path) -> dict[str, Any]:
+def _local(done: GridDesign, local: Controller | None, file: Path) -> dict[str, Any]:
     """Return local stabilizers beside the wide-area loop as JSON values; write them to `file`."""
-    sentence = which_to_build(wide, local, (table.ask.inter_area, table.ask.worst_swing))
+    requested, installed = done.proposal.table.ask, done.proposal.findings.weak.stabilized
+    asked = (requested.inter_area, requested.worst_swing)
+    sentence = which_to_build(done.controller, local, asked, installed)
     if local is None:
-        return {"sentence": sentence, "stabilizers": [], "certificate": None}
+        return {"sentence": sentence, "stabilizers": [], "certificate": None, "installed": []}
     local.save(file)
     return {
         "sentence": sentence,
+        "installed": list(installed),
         "stabilizers": list(local.design["local"]),
         "limit_pu": local.limit_pu,
         "certificate": local.certificate,
     }
 
 
-def _rival(table: DesignTable, case: Case, cache: Path, report: Report) -> Controller:
+def _rival(table: DesignTable, cache: Path, report: Report) -> Controller:
     name = "own-signal rival"
     key = content_hash(
-        case.hash,
+        table.grid.hash,
         table.model_dump(mode="json"),
         code_hash(worth.__module__),
     )
@@ -252,17 +290,15 @@ def _left_out(proposal: Proposal, controller: Controller, cache: Path, clock: Cl
     return rows
 
 
-def _over_latency(
-    table: DesignTable, controller: Controller, case: Case, cache: Path
-) -> list[dict[str, Any]]:
+def _over_latency(table: DesignTable, controller: Controller, cache: Path) -> list[dict[str, Any]]:
     """Return damping over the latency of all signals at the grid as it is, nothing and each signal lost."""
-    plant = FamilyPlant.of(case, table.signals, table.actuators, cache)
+    plant = FamilyPlant.of(table.grid, table.signals, table.actuators, cache)
     conditions = [
         Condition(f"{lost or 'nothing'} {late}", (lost,) if lost else (), dict.fromkeys(table.signals, late))
         for lost in ("", *table.signals)
         for late in LATENCIES_S
     ]
-    key = content_hash(case.hash, controller.as_dict(), LATENCIES_S, code_hash(judge_family.__module__))
+    key = content_hash(table.grid.hash, controller.as_dict(), LATENCIES_S, code_hash(judge_family.__module__))
 
     def made() -> list[dict[str, Any]]:
         judged = judge_family(

@@ -75,7 +75,8 @@ def modes_of_grid(case: Case, cache: Path) -> GridModes:
 class WeakModes:
     """What is to be damped in a grid, and what was chosen for it.
 
-    targets : inter-area modes. others : weak modes that are not among them.
+    targets : inter-area modes. others : weak modes that are not among them. stabilized : machines that got a
+    local stabilizer before (`beside_local`), each of which may be out of service.
     """
 
     case: Case
@@ -84,6 +85,7 @@ class WeakModes:
     targets: tuple[Mode, ...]
     others: tuple[Mode, ...]
     choices: Choices
+    stabilized: tuple[str, ...] = ()
 
     @property
     def weakest(self) -> Mode:

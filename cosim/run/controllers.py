@@ -32,6 +32,7 @@ from interarea.models.case.case import Case
 
 from ..errors import ScenarioError, nearest
 from ..scenario.names import CONTROLLER_NAMES, NAMED_CONTROLLERS, no_controller
+from ..toml_file import case_beside
 from .artefacts import built_fmu, linear_plant, plant_fmu
 from .controller_fmu import controller_from_fmu
 
@@ -78,7 +79,12 @@ def controller_of(
         return controller_from_fmu(path, case.omega_b)
     if not path.is_file():
         raise ScenarioError(no_controller(name))
-    return load_controller(path)
+    controller = load_controller(path)
+    specification = controller.design.get("specification")
+    if not isinstance(specification, Mapping):
+        return controller
+    design = {**controller.design, "specification": case_beside(specification, path.parent)}
+    return replace(controller, design=design)
 
 
 def design_controller(

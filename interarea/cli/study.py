@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 _FILES = (
     *("study.json", "report.html", "explorer.html", "case.toml", "controller.json", "local.json"),
-    *("design.toml", "fmus/plant.fmu", "fmus/controller.fmu"),
+    *("with_stabilizers.toml", "design.toml", "fmus/plant.fmu", "fmus/controller.fmu"),
 )
 _LEAVE_OUT = "leave it out"
 _FIRST = "import the grid first, then --grid CASE.toml"

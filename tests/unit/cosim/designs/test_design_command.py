@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import control
 import matplotlib.image
@@ -13,8 +15,12 @@ from typer.testing import CliRunner
 
 from interarea.cli.app import app
 from interarea.cosim.designs.comparison import Alternative, compare, effort_figure, sensitivity_figure
-from interarea.cosim.designs.design_file import load_design
+from interarea.cosim.designs.design_file import load_design, specification_of
+from interarea.cosim.run.controllers import controller_of
 from interarea.design.controllers.bundled import shipped_controller
+from interarea.fmu_build.write.cache import default_cache
+from interarea.models.case.case import load_case
+from interarea.models.case.write_toml import export_toml, toml_text
 
 SMALL = """
 name = "small"
@@ -96,3 +102,25 @@ def test_sensitivity_of_a_loop_in_closed_form() -> None:
     line = sensitivity_figure(G, (Alternative("lag", K, verdict),), "base").axes[0].lines[0]
     s = 1j * np.asarray(line.get_xdata())
     assert np.asarray(line.get_ydata()) == pytest.approx(np.abs((s + 1) / (s + 2)), rel=1e-3)
+
+
+def test_a_design_and_its_controller_name_a_case_beside_them(
+    interarea: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """As a study of an imported grid writes them; used from another folder."""
+    folder, elsewhere = tmp_path / "study", tmp_path / "elsewhere"
+    folder.mkdir()
+    elsewhere.mkdir()
+    export_toml(load_case("two-area-thesis"), folder / "case.toml")
+    robust = shipped_controller("robust")
+    specification = {**robust.design["specification"], "case": "case.toml"}
+    replace(robust, design={**robust.design, "specification": specification}).save(folder / "k.json")
+    keys = load_design("robust").model_dump(mode="json", exclude_none=True, exclude_unset=True)
+    text = toml_text({**keys, "case": "case.toml"})
+    (folder / "k.design.toml").write_text(text, encoding="utf-8")
+    monkeypatch.chdir(elsewhere)
+    assert load_design(folder / "k.design.toml").grid.name == "two-area-thesis"
+    controller = controller_of(str(folder / "k.json"), load_case("two-area-thesis"), default_cache())
+    assert controller is not None
+    table = specification_of(controller)
+    assert table is not None and table.grid.hash == load_case("two-area-thesis").hash

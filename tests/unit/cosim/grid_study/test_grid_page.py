@@ -101,7 +101,7 @@ def test_loops_stand_on_the_page_before_the_first_design(
         seen.append((tmp_path / "report.html").read_text(encoding="utf-8"))
         raise InfeasibleDesign("no controller", constraint="stability")
 
-    monkeypatch.setattr(grid_study, "design_for", stopped)
+    monkeypatch.setattr(grid_study, "findings_of", stopped)
     study = study_grid(load_case("two-area-thesis"), tmp_path, default_cache())
     assert "The best sets of loops by their residues" in seen[0]
     assert '<td class="t">G4_vs</td><td class="n">–</td>' in seen[0]

@@ -9,8 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from interarea.cosim.grid_study.faults import TIME_OVER
 from interarea.cosim.grid_study.local_stabilizers import (
     MOST_GAIN,
+    WASHOUT_S,
     Stabilizer,
     as_controller,
     tuned_for,
@@ -49,7 +51,7 @@ def test_a_small_gain_moves_the_mode_straight_to_the_left(weak: WeakModes, cache
 
 def test_a_stabilizer_is_the_device_of_a_case_file(cache: Path) -> None:
     one = Stabilizer("G2", "inter-area", 12.0, 0.2, 0.05, 2)
-    device = {"K": 12.0, "Tw": 10.0, "T1": 0.2, "T2": 0.05, "T3": 0.2, "T4": 0.05}
+    device = {"K": 12.0, "Tw": WASHOUT_S, "T1": 0.2, "T2": 0.05, "T3": 0.2, "T4": 0.05}
     case = load_case("two-area-thesis").with_changes({"machines": {"G2": {"stabilizer": device}}})
     inside = np.linalg.eigvals(remove_reference(linear_plant(case, cache)).A)
     beside = _roots([one], cache)
@@ -60,7 +62,7 @@ def test_a_stabilizer_is_the_device_of_a_case_file(cache: Path) -> None:
 
 def test_a_machine_that_needs_too_much_phase_gets_none(weak: WeakModes) -> None:
     mode = weak.weakest
-    washed = mode.eigenvalue * 10.0 / (1.0 + mode.eigenvalue * 10.0)
+    washed = mode.eigenvalue * WASHOUT_S / (1.0 + mode.eigenvalue * WASHOUT_S)
     with_phase = [-np.exp(-1j * np.radians(deg)) / washed for deg in (100.0, 149.0, 155.0, 180.0)]
     result = [tuned_for(mode, "G1", residue) for residue in with_phase]
     assert [None if one is None else one.stages for one in result] == [2, 3, None, None]
@@ -84,6 +86,7 @@ def _judged(name: str, inter_area: float, worst_swing: float, *violations: str) 
         "violations": list(violations),
         "passed": not violations,
         "rows": [{"stable": True}],
+        "acceptance": {"standing": [line for line in violations if "standing" in line]},
     }
     return replace(as_controller([one], 377.0, name, 0.05), certificate=certificate)
 
@@ -100,3 +103,15 @@ def test_the_sentence_says_which_to_build() -> None:
     assert "the wide-area loop come" in which_to_build(short, shorter, asked)
     assert "the local stabilizers come" in which_to_build(shorter, short, asked)
     assert which_to_build(good, None, asked).startswith("no machine can be tuned")
+    # faults that were not run are no reason against stabilizers where the loop misses something
+    unfinished = _judged("local", 0.11, 0.05, f"non-linear faults at base: {TIME_OVER}")
+    assert "(not all faults were run: 1 of what" in which_to_build(short, unfinished, asked)
+    assert which_to_build(good, unfinished, asked).startswith("build the wide-area loop")
+    both = which_to_build(good, shorter, asked, ("G2",))
+    assert both.startswith("build both: local stabilizers at G2 reach")
+    assert both.endswith("every swing 0.050, and nothing is missed")
+    swings = _judged("wide", 0.2, 0.05, "base, fault at bus 7: standing swing")
+    assert "the local stabilizers come nearer" in which_to_build(swings, shorter, asked)
+    assert "the stabilizers alone come nearer" in which_to_build(swings, shorter, asked, ("G2",))
+    neither = which_to_build(short, shorter, asked, ("G2",))
+    assert neither.startswith("not all that is asked is held: local stabilizers at G2 reach")

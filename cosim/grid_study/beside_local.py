@@ -1,0 +1,59 @@
+"""A wide-area loop for what local stabilizers leave: they become devices of the grid, and both are judged."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from interarea.design.controllers.controller import Controller
+from interarea.models.case.case import Case
+
+from ..designs.design_tables import AskTable
+from .local_stabilizers import WASHOUT_S
+from .weak_modes import WeakModes, modes_of_grid
+
+
+def leaves_something(local: Controller, requested: AskTable) -> bool:
+    """Whether stabilizers that keep every loop stable leave inter-area modes weak with all of them there.
+
+    What they miss otherwise (one of them out, a local mode, a fault) is nothing that a loop is asked for.
+    """
+    rows = (local.certificate or {})["rows"]
+    there = [row["inter_area"] for row in rows if row["condition"] == "N"]
+    return all(row["stable"] for row in rows) and not min(there) >= requested.inter_area
+
+
+def installable(case: Case, stabilizers: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    """Return those stabilizers (rows of `local_rival`) whose machines have none: a machine takes one."""
+    free = {machine.name for machine in case.machines if machine.stabilizer is None}
+    return [one for one in stabilizers if one["machine"] in free]
+
+
+def with_stabilizers(case: Case, stabilizers: Sequence[Mapping[str, Any]], limit_pu: float) -> Case:
+    """Return a grid with stabilizers as devices `speed` of their machines. limit_pu : of each output."""
+    change = {one["machine"]: {"stabilizer": _device(one, limit_pu)} for one in stabilizers}
+    return case.with_changes({"machines": change}, name=f"{case.name}-with-stabilizers")
+
+
+def _device(one: Mapping[str, Any], limit_pu: float) -> dict[str, Any]:
+    stages = {f"T{2 * k + half}": one[f"T{half}"] for k in range(one["stages"]) for half in (1, 2)}
+    return {"K": one["K"], "Tw": WASHOUT_S, **stages, "Vs_min": -limit_pu, "Vs_max": limit_pu}
+
+
+def beside_local(weak: WeakModes, local: Controller, cache: Path) -> WeakModes | None:
+    """Return the grid with its local stabilizers, of which as much is asked as of the grid without.
+
+    None : no machine can have one, or that grid grows or has no inter-area mode left.
+    """
+    stabilizers = installable(weak.case, local.design["local"])
+    if not stabilizers:
+        return None
+    case = with_stabilizers(weak.case, stabilizers, local.limit_pu)
+    grid = modes_of_grid(case, cache)
+    if grid.growing or not grid.inter_area:
+        return None
+    choices = weak.choices.model_copy(update={"inter_area": weak.wanted})
+    there = WeakModes(case, grid.plant, grid.all_modes, grid.inter_area, grid.weak_others, choices)
+    return replace(there, stabilized=tuple(one["machine"] for one in stabilizers))
