@@ -162,3 +162,19 @@ def test_a_study_of_a_grid_from_its_name_alone(
     local = json.loads((tmp_path / "local.json").read_text(encoding="utf-8"))
     assert local["certificate"]["acceptance"]["cases"] == 3 * points
     assert (tmp_path / "fmus" / "controller.fmu").is_file()
+
+
+@pytest.mark.parametrize(
+    ("loop", "local", "code"), [(True, None, 0), (False, None, 1), (False, False, 1), (False, True, 0)]
+)
+def test_a_study_passes_where_a_loop_or_local_stabilizers_hold_what_is_asked(
+    interarea: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, loop: bool, local: bool | None, code: int
+) -> None:
+    beside = None if local is None else _certificate(passed=local)
+    study = _study(
+        certificate=_certificate(passed=loop), local={"sentence": "build it", "certificate": beside}
+    )
+    monkeypatch.setattr(grid_study, "study_grid", lambda *_, **__: study)
+    ended, out, err = interarea("study", "two-area-thesis", "--out", tmp_path / "out", "--json")
+    assert ended == code, err
+    assert json.loads(out)["passed"] == (code == 0)
