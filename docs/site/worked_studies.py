@@ -96,7 +96,7 @@ def words(name: str, study: Mapping[str, Any]) -> str:
 
 
 def _kinds(violations: Sequence[str]) -> list[str]:
-    """Return the first violation of each kind, with how many there are; those of one kind begin alike."""
+    """Return the first violation of each kind, and how many more are like it."""
     kinds: dict[str, list[str]] = {}
     for line in violations:
         known = ("inter-area damping is", "non-linear faults", "fault at", "asked not more than")

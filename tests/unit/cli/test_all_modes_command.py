@@ -60,7 +60,7 @@ def test_modes_with_a_late_controller(interarea) -> None:  # type: ignore[no-unt
             ("--controller", "robust", "--sensitivity", "machines.G1.H"),
             "--sensitivity with --controller: not together",
         ),
-        (("--controller", "robust", "--latency", "-1"), "latency of G2_dw = -1 s, wanted: 0 or more"),
+        (("--controller", "robust", "--latency", "-1"), "--latency S: got -1, allowed: at least 0, in s"),
         (("--controller", "active"), "--controller active: a bank switches between controllers"),
         (
             ("--below", "0.2", "--load-scale", "4"),

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 from command_line import invoke
 
+from interarea.cli import destination
 from interarea.cli.destination import folder_for
 from interarea.cli.terminal import complain, steady_streams
 from interarea.cosim.designs.design_file import load_design
@@ -89,8 +90,8 @@ def kinds() -> dict[str, str]:
 def test_a_file_of_another_kind_is_named_as_what_it_is(interarea, kinds, command: str, wanted: str) -> None:  # type: ignore[no-untyped-def]
     words = {
         "empty": "is empty",
-        "folder": "folder" if command != "study" else "neither",
-        "loop": "archive" if command != "study" else "neither",
+        "folder": "folder" if command != "study" else "no bundled study",
+        "loop": "archive" if command != "study" else "no bundled study",
         "sweep": "is a sweep (`interarea sweep`)",
         "scenario": "is a scenario (`interarea run`)",
         "case": "is a case",
@@ -159,7 +160,11 @@ def test_a_file_that_cannot_be_is_refused_before_any_work(interarea, kinds, argu
 def test_permission_is_looked_at_at_the_nearest_folder_there_is(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(os, "access", lambda path, _: Path(path) != tmp_path)
+    def refused(folder: Path) -> None:
+        if folder == tmp_path:
+            raise PermissionError
+
+    monkeypatch.setattr(destination, "_try_to_write", refused)
     for place in (tmp_path / "a" / "b", tmp_path):
         with pytest.raises(DestinationError, match=f"no permission to write in {tmp_path}, wanted"):
             folder_for(place)
