@@ -238,7 +238,10 @@ def _used(path: Path, written_s: float) -> float:
 
 def damaged(cache: Path) -> list[Kept]:
     """Return the artefacts that are not what was written; nothing proves what the compiler keeps."""
-    return [k for k in artefacts_in(cache) if k.kind != COMPILERS_OWN and not is_whole(k.path)]
+    from interarea.models.devices.header import FOLDER, is_named_by_content  # no more than this needs them
+
+    whole = {COMPILERS_OWN: lambda path: True, FOLDER: is_named_by_content}
+    return [k for k in artefacts_in(cache) if not whole.get(k.kind, is_whole)(k.path)]
 
 
 def remove(kept: Iterable[Kept]) -> int:

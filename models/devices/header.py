@@ -14,6 +14,7 @@ from .language.structure import Model
 from .library import library
 
 HEADER = "devices.h"
+FOLDER = "devices"  #: of the cache
 
 
 @functools.lru_cache(maxsize=32)
@@ -28,10 +29,21 @@ def devices_file(own: Iterable[Model] = (), keys: Collection[str] | None = None)
     compile, or less.
     """
     text = _text(tuple(own)) if keys is None else with_devices(_text(tuple(own)), keys)
-    digest = hashlib.sha256(text.encode("ascii")).hexdigest()[:24]
-    path = default_cache() / "devices" / digest / HEADER  # content names the folder
+    path = default_cache() / FOLDER / _digest(text.encode("ascii")) / HEADER
     with at_once():
         return path if path.is_file() else write_whole(path, text)
+
+
+def is_named_by_content(path: Path) -> bool:
+    """Whether the name of a header's folder in the cache is that of its content: it has no other proof."""
+    try:
+        return _digest(path.read_bytes()) == path.parent.name
+    except OSError:
+        return False
+
+
+def _digest(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()[:24]
 
 
 def with_devices(header: str, keys: Collection[str]) -> str:

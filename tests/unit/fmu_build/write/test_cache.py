@@ -26,6 +26,7 @@ from interarea.fmu_build.write.cache import (
     place,
 )
 from interarea.fmu_build.write.package import block_fmu
+from interarea.models.devices.header import devices_file
 
 
 def test_an_artefact_is_made_once_and_never_half(tmp_path: Path) -> None:
@@ -198,5 +199,9 @@ def test_the_cache_shows_checks_and_trims(interarea, tmp_path: Path, monkeypatch
     assert sorted(p.name for p in (tmp_path / "linear").iterdir()) == ["new.npz", "new.npz.sha256"]
     assert interarea("cache", "--unused-days", "1")[0] == 0
     assert list((tmp_path / "linear").iterdir()) == []
+    header = devices_file()  # named by its content, not proved by a file beside it
+    assert interarea("cache", "--check")[0] == 0 and header.is_file()
+    header.write_bytes(header.read_bytes()[:-1])
+    assert "1 damaged: removed" in interarea("cache", "--check")[1] and not header.exists()
     for wrong in ("-1", "nan"):
         assert interarea("cache", "--keep-mb", wrong)[0] == 2
