@@ -20,6 +20,7 @@ from pathlib import Path
 import numpy as np
 
 import interarea as ia
+from interarea.cosim.records.play_in import with_value
 from interarea.cosim.records.record import Record
 
 CASE, MACHINE = "two-area-thesis", "G1"
@@ -87,7 +88,7 @@ def main() -> None:
     truth = {name: value_of(case, name) for name in shares}
     off = case
     for name, share in shares.items():
-        off = with_value(off, name, truth[name] * share)
+        off = with_value(off, MACHINE, name, truth[name] * share)
     run = recorded(case, EVENTS[options.record])
     errors, ratios = [], []
     for seed in range(1, options.seeds + 1):
@@ -127,13 +128,6 @@ def value_of(case, path):
     for field in path.split("."):
         value = getattr(value, field)
     return value
-
-
-def with_value(case, path, value):
-    change = value
-    for field in reversed(path.split(".")):
-        change = {field: change}
-    return case.with_changes({"machines": {MACHINE: change}})
 
 
 def recorded(case, events):

@@ -104,7 +104,7 @@ def design_for(
 
     findings : of the grid. Other arguments and errors as `design_grid`.
     """
-    _, _, search, faults = DESIGN_STAGES
+    *_, search, faults = DESIGN_STAGES
     weak = findings.weak
     weakest = {"base": weak.weakest.damping_ratio} | {r.point.name: r.least for r in findings.points}
     designs: list[GridDesign] = []

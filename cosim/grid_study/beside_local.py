@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -55,5 +54,5 @@ def beside_local(weak: WeakModes, local: Controller, cache: Path) -> WeakModes |
     if grid.growing or not grid.inter_area:
         return None
     choices = weak.choices.model_copy(update={"inter_area": weak.wanted})
-    there = WeakModes(case, grid.plant, grid.all_modes, grid.inter_area, grid.weak_others, choices)
-    return replace(there, stabilized=tuple(one["machine"] for one in stabilizers))
+    machines = tuple(one["machine"] for one in stabilizers)
+    return WeakModes(case, grid.plant, grid.all_modes, grid.inter_area, grid.weak_others, choices, machines)

@@ -31,9 +31,8 @@ from .faults import TIME_OVER, falls_short, judged_with_faults
 from .weak_modes import WeakModes
 
 MOST = 6  #: machines that get one
-JUDGED_POINTS = (
-    2  #: operating points of a design at which gains are chosen: the grid as it is, its worst outage
-)
+#: operating points of a design at which gains are chosen: the grid as it is and its worst outage
+JUDGED_POINTS = 2
 #: s; without governors a grid's speed goes on rising after a fault, which behind 10 s holds an output at its
 #: limit (New England); its phase at the mode is made up for by the lead-lags
 WASHOUT_S = 3.0

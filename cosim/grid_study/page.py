@@ -24,6 +24,7 @@ from ..maps.page import plain
 from ..plots.curves import DASHES, MUTED, SERIES, STYLE, WIDTH
 from ..plots.html import page_environment, page_figure
 from ..plots.mode_map import shape_plot
+from .local_stabilizers import WASHOUT_S
 
 SHAPES = 4  #: modes whose shapes are drawn
 
@@ -57,6 +58,7 @@ def write_page(study: Mapping[str, Any], modes: Sequence[Mode], shapes: Sequence
         worth=_worth(study),
         latency=_latency(study),
         faults=_faults(study),
+        washout_s=WASHOUT_S,
     )
     return write_whole(path, text.encode("utf-8"))
 

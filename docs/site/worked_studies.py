@@ -11,6 +11,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from interarea.cosim.grid_study.page import sentence
+
 PAGE = Path(__file__).resolve().parents[1] / "worked_studies.md"
 #: bundled, and one that is fetched where it is published; others are given by name
 GRIDS = ("two-area-thesis", "kundur-pss", "new-england", "nets-nyps", "npcc")
@@ -87,7 +89,7 @@ def words(name: str, study: Mapping[str, Any]) -> str:
     problem = str(study["problem"]).removeprefix(f"{study['case']}: ")
     lines = [f"It stops: {problem}."] if study["problem"] else []
     if "local" in study:
-        lines.append(f"{study['local']['sentence'][:1].upper()}{study['local']['sentence'][1:]}.")
+        lines.append(sentence(study["local"]["sentence"]))
     if violations := (study.get("certificate") or {}).get("violations"):
         lines.append(f"The loop misses: {'; '.join(_kinds(violations))}.")
     if study["no_time_for"]:
