@@ -18,8 +18,10 @@ _ALLOCATIONS = 100_000  # between searches for cycles; after Python's own 700 th
 
 
 def _stop(number: int, frame: FrameType | None) -> None:
-    """End at once: while modules are loaded, and after all, there is nothing to leave in order."""
+    """End at once, while modules are loaded and after all: only temporary folders may be left to remove."""
     os.write(2, b"interarea: stopped\n")
+    if (files := sys.modules.get("interarea.models.files")) is not None:
+        getattr(files, "remove_own_folders", int)()  # not there while the module is being loaded
     os._exit(128 + number)
 
 

@@ -265,17 +265,24 @@ class _Own:
     def __init__(self, root: Path) -> None:
         from multiprocessing.util import Finalize
 
-        lock = None
-        while lock is None:  # a sweep may take a folder for a left one before it is locked
-            self.folder = Path(tempfile.mkdtemp(dir=root, prefix=f"{_PREFIX}{os.getpid()}-"))
-            lock = locked(self.folder / _LOCK, make=True)
-        self._lock: IO[bytes] = lock
-        # children of multiprocessing end without atexit, but not without this
+        self._lock: IO[bytes] | None = None
+        self._take_a_name(root)
+        # first, as an interrupt may come before the folder is locked; children of multiprocessing end without
+        # atexit, but not without this
         Finalize(None, self.close, exitpriority=_LAST)
+        while self._lock is None:
+            self.folder.mkdir(mode=0o700)
+            self._lock = locked(self.folder / _LOCK, make=True)
+            if self._lock is None:  # a sweep has taken the folder for a left one before it was locked
+                self._take_a_name(root)
+
+    def _take_a_name(self, root: Path) -> None:
+        self.folder = root / f"{_PREFIX}{os.getpid()}-{os.urandom(4).hex()}"
 
     def close(self) -> None:
         """Free the lock and remove the folder."""
-        self._lock.close()
+        if self._lock is not None:
+            self._lock.close()
         shutil.rmtree(self.folder, ignore_errors=True)
 
 

@@ -187,3 +187,48 @@ def test_a_signal_leaves_nothing_of_the_trial_of_the_temporary_folder(
         signal.signal(signal.SIGTERM, before)
     assert not list(tmp_path.iterdir())
     assert temporary_root() == tmp_path
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="starts processes by fork")
+def test_an_interrupt_at_any_line_leaves_no_temporary_folder(tmp_path: Path) -> None:
+    """The folder of a process goes at its end, also if an interrupt comes while it is being made."""
+    code = """
+import os, sys
+from pathlib import Path
+from interarea.models import files
+
+root = Path(sys.argv[1])
+def interrupted(at):
+    left = [at]
+    def trace(frame, event, _):
+        if frame.f_code.co_filename != files.__file__:
+            return None
+        if event == "line":
+            left[0] -= 1
+            if left[0] == 0:
+                sys.settrace(None)
+                raise KeyboardInterrupt
+        return trace
+    sys.settrace(trace)
+    try:
+        files.new_folder(root)
+    except KeyboardInterrupt:
+        return True
+    finally:
+        sys.settrace(None)
+    return False
+
+for at in range(1, 200):
+    child = os.fork()
+    if not child:
+        sys.exit(3 if interrupted(at) else 0)
+    code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    if list(root.iterdir()):
+        sys.exit(f"line {at}: left {list(root.iterdir())}")
+    if code == 0:
+        print(at)
+        break
+"""
+    done = subprocess.run([sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert int(done.stdout) > 20  # lines that ran before the folder was there
