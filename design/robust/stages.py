@@ -18,6 +18,8 @@ from .smoothed_objective import Array, BandOffsets, Objective
 WORTHWHILE, TURNS = 2e-3, 3
 #: rounds of L-BFGS in which a start is to become stable, at most
 STABILISING = 10
+#: on the outputs of a controller that goes on to a stage with more models; the last is nearly no control
+GAINS = (1.0, 0.5, 0.25, 0.125, 0.0625, 0.0156)
 
 Descend = Callable[[Objective, Array], tuple[Array, int]]
 Balanced = Callable[[Objective, Array], Array]
@@ -91,10 +93,22 @@ def staged_search(
     for k, stage in enumerate(stages[1:], start=2):
         selected = stage.of(objective)
         (what,) = stage_parts(k, len(stages), count_of)
+        theta = with_best_gain(selected, theta)
         theta, used = _through(selected, stage, theta, balanced, descend, partial(report, what))
         count += used
         report(what, 1.0, selected.value(theta))
     return theta, count, reached
+
+
+def with_best_gain(objective: Objective, theta: Array) -> Array:
+    """Return the controller with its outputs by that one of `GAINS` at which the objective is least.
+
+    What was designed for few models may do harm in others; a descent from there may end above what the grid
+    has without control.
+    """
+    A, B, C, D = objective.unpack(theta)
+    scaled = [objective.pack(A, B, gain * C, gain * D) for gain in GAINS]
+    return min(scaled, key=objective.value)
 
 
 def stabilised(
