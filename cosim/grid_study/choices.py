@@ -18,6 +18,9 @@ from ..toml_file import read_toml
 MINUTES = 10.0  #: of a whole study
 #: damping ratio below which a mode counts as weak, and what a design adds to a weak one unless it gets there
 WEAK, GAIN = 0.1, 0.05
+#: damping ratio of inter-area modes beyond which more is no reason for another actuator, nor to take more
+#: from other modes: a swing is then gone after one period
+ENOUGH = 0.25
 
 
 class Choices(Table):

@@ -21,7 +21,7 @@ from interarea.models.files import write_rows, write_whole
 from ..designs.family import at_point
 from ..errors import machine_error
 from .automatic import Report
-from .choices import Choices
+from .choices import ENOUGH, Choices
 from .clock import Clock
 from .link_page import write_link_page
 from .link_sets import LinkSet, conclusion
@@ -35,7 +35,7 @@ from .link_worth import (
     signals_of_set,
 )
 from .operating_points import chosen_points, tried_points
-from .proposal import ENOUGH, acceptance_of, offset_of
+from .proposal import acceptance_of, offset_of
 from .weak_modes import WeakModes, modes_of_grid, weak_modes
 
 GRIDS = ("two-area-thesis", "kundur-pss", "new-england")  #: by default

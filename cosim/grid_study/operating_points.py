@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from math import pi
 from pathlib import Path
 
 import numpy as np
@@ -11,12 +12,14 @@ import numpy as np
 from interarea.design.modes.loop_choice import signals_of
 from interarea.design.modes.loop_points import LoopPoint
 from interarea.design.modes.modes import Mode
+from interarea.design.robust.operating_points import inter_area_band
 from interarea.models.case.case import Case
 from interarea.models.errors import InterareaError
 from interarea.models.grid.powerflow import solve_powerflow
 
 from ..designs.design_tables import PointTable
 from ..designs.family import at_point
+from .choices import ENOUGH
 from .clock import Clock
 from .weak_modes import WeakModes, modes_of_grid
 
@@ -26,6 +29,7 @@ TRIED, USABLE, KEPT = 40, 12, 4
 MOVED = 0.01
 LOADS = (1.05, 0.9)  #: factors on all loads and the power of all machines
 TIE_SHARE = 0.25  #: of the flow over the tie, where a case names one
+_EDGE = 0.97  # of the inter-area band's lower end, from where more is asked of it
 
 
 @dataclass(frozen=True)
@@ -89,6 +93,30 @@ def chosen_points(tried: Sequence[TriedPoint]) -> tuple[PointTable, ...]:
     most = sorted(rest, key=lambda row: -row.moved)[: KEPT - len(worst)]
     others = [row for row in usable if not _outage(row) and row.moved >= MOVED]
     return (PointTable(name="base"), *(row.point for row in (*worst, *most, *others)))
+
+
+def keeping_what_is_there(
+    weak: WeakModes, points: Sequence[PointTable], tried: Sequence[TriedPoint], worst_swing: float
+) -> tuple[PointTable, ...]:
+    """Ask at each point where local stabilizers give more than is wanted for what they give there.
+
+    Less what any mode may give away, and no more than `ENOUGH`. Without stabilizers the points stay as they
+    are. worst_swing : least damping ratio of any swing that is asked everywhere.
+    """
+    if not weak.stabilized:
+        return tuple(points)
+    least = {row.point.name: row.least for row in tried} | {"base": weak.weakest.damping_ratio}
+    low, high = (2.0 * pi * hz for hz in inter_area_band({m.name: m for m in weak.all_modes.modes}))
+    kept: list[PointTable] = []
+    for point in points:
+        wanted = round(min(least[point.name] - weak.choices.given_away, ENOUGH), 4)
+        if wanted > weak.wanted:
+            more = round(wanted - weak.wanted, 4)
+            nodes = ((_EDGE * low, 0.0), (low, more), (high, more), (high / _EDGE, 0.0))
+            rounded = tuple((round(at, 3), value) for at, value in nodes)
+            point = point.model_copy(update={"more": rounded, "ask": (worst_swing, wanted)})
+        kept.append(point)
+    return tuple(kept)
 
 
 def _outage(row: TriedPoint) -> bool:

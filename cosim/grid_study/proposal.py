@@ -29,16 +29,18 @@ from ..designs.design_tables import PointTable
 from ..designs.family import DENSE_STATES, at_point
 from ..designs.short_designs import LATENCY_S, ShortDesign, short_designs
 from ..designs.swing_sensitivity import STEP_S, first_swing
-from .choices import WEAK
+from .choices import ENOUGH, WEAK
 from .clock import GUESS, SEARCH, Clock
-from .operating_points import TriedPoint, chosen_points, tried_points
+from .operating_points import (
+    TriedPoint,
+    chosen_points,
+    keeping_what_is_there,
+    tried_points,
+)
 from .weak_modes import SETS, WeakModes, in_words
 
 STEPS = ("loops", "operating points")  #: of `find`
 
-#: damping ratio of inter-area modes beyond which more is no reason for another actuator, nor to take more
-#: from other modes: a swing is then gone after one period
-ENOUGH = 0.25
 #: damping ratio that another actuator must add: less is within what short designs differ by
 WORTH_AN_ACTUATOR = 0.02
 LIMIT_PU = 0.05  #: of each output, as field installations limit stabilizers [IEEE421.5-2016]
@@ -152,6 +154,8 @@ def propose(
     guard = _guard(weak, acceptance, parts, cache)
     least = [_least_of_all(row) for row in candidates if row.point.name in names]
     least.append(min(m.damping_ratio for m in weak.all_modes.modes))
+    worst_swing = round(max(min(least) - choices.given_away, 0.0), 4)
+    chosen = keeping_what_is_there(weak, chosen, candidates, worst_swing)
     keys: dict[str, Any] = {
         "name": name or re.sub("^(?=[^A-Za-z_])|[^A-Za-z0-9_]+", "_", weak.case.name),
         "case": case or weak.case.name,
@@ -168,7 +172,7 @@ def propose(
         "seed": 1,
         "ask": {
             "inter_area": round(weak.wanted, 4),
-            "worst_swing": round(max(min(least) - choices.given_away, 0.0), 4),
+            "worst_swing": worst_swing,
             "given_away": choices.given_away,
             "effort": round(1.15 * choices.effort, 3),
             "fastest_pole": 66.0,
@@ -185,7 +189,7 @@ def propose(
         keys["guard"] = guard
     table = design_of(keys, where=f"the design made for {weak.case.name}")
     table._grid = weak.case
-    return Proposal(table, findings, taken, _reasons(findings, taken, names))
+    return Proposal(table, findings, taken, (*_reasons(findings, taken, names), *_kept(chosen)))
 
 
 def _short_designs(
@@ -362,3 +366,10 @@ def _reasons(findings: Findings, taken: ShortDesign, names: set[str]) -> tuple[s
         f"than {weak.choices.given_away:g} below itself without control."
     )
     return tuple(lines)
+
+
+def _kept(points: Sequence[PointTable]) -> tuple[str, ...]:
+    asked = [f"{point.name} {point.ask[1]:.3f}" for point in points if point.ask is not None]
+    if not asked:
+        return ()
+    return (f"Asked of inter-area modes where the stabilizers give more than that: {', '.join(asked)}.",)

@@ -21,13 +21,18 @@ from interarea.cosim.grid_study.beside_local import (
 from interarea.cosim.grid_study.choices import Choices
 from interarea.cosim.grid_study.clock import Clock
 from interarea.cosim.grid_study.local_stabilizers import Stabilizer, as_controller
-from interarea.cosim.grid_study.operating_points import chosen_points, tried_points
+from interarea.cosim.grid_study.operating_points import (
+    chosen_points,
+    keeping_what_is_there,
+    tried_points,
+)
 from interarea.cosim.grid_study.page import headline
 from interarea.cosim.grid_study.study import STABILIZED, study_grid
 from interarea.cosim.grid_study.weak_modes import WeakModes, modes_of_grid, weak_modes
 from interarea.cosim.run.artefacts import linear_plant
 from interarea.design.certificates.closed_loop import closed_loop_matrix
 from interarea.design.linear.linearise import remove_reference, speeds_in_rad
+from interarea.design.robust.smoothed_objective import BandOffsets
 from interarea.fmu_build.write.cache import default_cache
 from interarea.models.case.case import load_case
 
@@ -104,6 +109,28 @@ def test_as_much_is_asked_as_without_and_each_stabilizer_may_be_out(weak: WeakMo
     least = min(mode.damping_ratio for mode in alone.inter_area)
     assert without["no stabilizer at G2"].least == pytest.approx(least, abs=1e-9)
     assert set(without) <= {point.name for point in chosen_points(rows)}
+
+
+def test_a_loop_is_asked_for_what_the_stabilizers_give_at_each_point(weak: WeakModes, cache: Path) -> None:
+    local = as_controller(UNITS, weak.case.omega_b, "local", 0.05)
+    there = beside_local(weak, local, cache)
+    assert there is not None
+    rows = tried_points(there, cache, Clock(0.0))
+    points = chosen_points(rows)
+    kept = {p.name: p for p in keeping_what_is_there(there, points, rows, 0.03)}
+    assert list(kept) == [point.name for point in points]
+    least = {row.point.name: row.least for row in rows} | {"base": there.weakest.damping_ratio}
+    for name, point in kept.items():
+        wanted = least[name] - there.choices.given_away
+        if not wanted > there.wanted:
+            assert point.ask is None and not point.more
+            continue
+        assert point.ask == (0.03, pytest.approx(wanted, abs=1e-4))
+        in_band = 2.0 * np.pi * there.weakest.frequency_hz
+        extra = BandOffsets(*zip(*point.more, strict=True))(np.array([0.0, in_band, 15.0]))[0]
+        assert extra == pytest.approx([0.0, wanted - there.wanted, 0.0], abs=2e-4)
+    assert kept["base"].ask is not None and any(point.ask is None for point in kept.values())
+    assert keeping_what_is_there(weak, points, rows, 0.03) == points  # no stabilizers to keep
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ from interarea.design.robust.design import _descend, balanced_parameters
 from interarea.design.robust.first_guess import _moves, first_guess
 from interarea.design.robust.newton import Expansion, expansion, newton_descent
 from interarea.design.robust.smoothed_objective import BandOffsets, DesignModel, EffortGrid, Objective
-from interarea.design.robust.stages import Stage, staged_search
+from interarea.design.robust.stages import Stage, staged_search, with_best_gain
 
 #: two parts of two states, each with a signal and an actuator of its own
 PARTS = np.concatenate(
@@ -194,6 +194,18 @@ def test_a_later_stage_goes_on_from_the_one_before(objective: Objective) -> None
     only, _ = _staged(objective, (first,))
     both, _ = _staged(objective, (first, Stage(rho=(40.0,), steps=20)))
     assert objective.value(both) < objective.value(only) - 3e-4
+
+
+def test_a_later_stage_begins_no_worse_than_without_control(objective: Objective) -> None:
+    A, B, C, D = objective.unpack(_controller(objective, 5))
+    harmful = objective.pack(A, B, 30.0 * C, 30.0 * D)
+    without = objective.value(objective.pack(A, B, 0.0 * C, 0.0 * D))
+    assert objective.value(harmful) > without + 0.1
+    lowered = with_best_gain(objective, harmful)
+    assert objective.value(lowered) < without + 5e-3  # the least gain is not quite none
+    assert np.linalg.eigvals(objective.unpack(lowered)[0]) == pytest.approx(np.linalg.eigvals(A))
+    good = with_best_gain(objective, _controller(objective, 5))
+    assert objective.value(good) <= objective.value(_controller(objective, 5))
 
 
 @pytest.mark.slow
