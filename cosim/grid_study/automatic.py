@@ -20,13 +20,21 @@ from interarea.models.errors import InterareaError
 
 from ..designs.design_file import DESIGN_STEPS, DesignTable, run_design
 from ..errors import machine_error
+from .beside_local import beside_local, leaves_something
 from .choices import Choices
 from .clock import Clock
 from .faults import falls_short, judged_with_faults
+from .local_stabilizers import local_rival, which_to_build
 from .proposal import Findings, Proposal, find, propose
 from .weak_modes import WeakModes, modes_of_grid, weak_modes
 
-DESIGN_STAGES = ("modes", "loops and operating points", "search", "faults")  #: of `design_grid`
+DESIGN_STAGES = (
+    "modes",
+    "loops and operating points",
+    "local stabilizers",
+    "search",
+    "faults",
+)  #: of `design_grid`
 TRIED_SETS = 3  #: sets of loops for which a whole design is searched, at most
 
 Report = Callable[[str, float], object]
@@ -38,11 +46,26 @@ class GridDesign:
 
     proposal: Proposal
     controller: Controller
+    local: Controller | None = None  #: local stabilizers by themselves; None where no machine can have one
+    #: the grid with those of them that it can have, where the loop is for it; else None
+    stabilized: Case | None = None
 
     @property
     def certificate(self) -> dict[str, Any]:
         """The certificate as JSON values."""
         return dict(self.controller.certificate or {})
+
+    @property
+    def passed(self) -> bool:
+        """Whether the loop, or the local stabilizers by themselves, hold all that is asked."""
+        return any((one.certificate or {})["passed"] for one in (self.controller, self.local) if one)
+
+    @property
+    def sentence(self) -> str:
+        """Which to build, in words."""
+        requested = self.proposal.table.ask
+        asked = (requested.inter_area, requested.worst_swing)
+        return which_to_build(self.controller, self.local, asked, self.proposal.findings.weak.stabilized)
 
     def because(self, lines: tuple[str, ...]) -> GridDesign:
         """Return the design with more reasons."""
@@ -57,12 +80,14 @@ def design_grid(
     choices: Choices | None = None,
     name: str = "",
     named: str = "",
+    named_stabilized: str = "",
     report: Report = lambda stage, share: None,
 ) -> GridDesign:
     """Make a design for a grid, run it, judge it with faults; parts are found again in `cache`.
 
-    clock : of the time that it may take. choices : of a person. name : of the controller. named : how the
-    design file names the case. report : called with one of `DESIGN_STAGES` and the share of it that is done.
+    clock : of the time that it may take. choices : of a person. name : of the controller. named,
+    named_stabilized : how the design file names the case, and that with local stabilizers. report : called
+    with one of `DESIGN_STAGES` and the share of it that is done.
 
     Raises
     ------
@@ -72,7 +97,45 @@ def design_grid(
     weak = weak_modes(modes_of_grid(case, cache), choices)
     report(DESIGN_STAGES[0], 1.0)
     findings = findings_of(weak, cache, clock, report=report)
-    return design_for(findings, cache, clock, name=name, named=named, report=report)
+    return design_of_findings(
+        findings, cache, clock, name=name, named=named, named_stabilized=named_stabilized, report=report
+    )
+
+
+def design_of_findings(
+    findings: Findings,
+    cache: Path,
+    clock: Clock,
+    *,
+    name: str = "",
+    named: str = "",
+    named_stabilized: str = "",
+    report: Report = lambda stage, share: None,
+) -> GridDesign:
+    """Tune local stabilizers, then design a wide-area loop: for what they leave where that is something.
+
+    Arguments and errors as `design_grid`.
+    """
+    beside, weak = DESIGN_STAGES[2], findings.weak
+    report(beside, 0.0)
+    first = propose(findings, findings.sets[0], cache, clock, name=name, case=named)
+    local = local_rival(weak, first.table, cache, clock, progress=lambda share: report(beside, 0.9 * share))
+    stabilized: WeakModes | None = None
+    lines: tuple[str, ...] = ()
+    if local is not None and leaves_something(local, first.table.ask):
+        stabilized = beside_local(weak, local, cache)
+    report(beside, 1.0)
+    if stabilized is not None:
+        clock.again()
+        try:
+            again = findings_of(stabilized, cache, clock, report=report)
+            name = f"{first.table.name}_with_stabilizers"
+            done = design_for(again, cache, clock, name=name, named=named_stabilized, report=report)
+            return replace(done, local=local, stabilized=stabilized.case)
+        except InfeasibleDesign as error:
+            lines = (f"No loop came out for the grid with local stabilizers: {error}.",)
+    done = design_for(findings, cache, clock, first=first, report=report)
+    return replace(done.because(lines), local=local)
 
 
 def findings_of(
@@ -96,15 +159,19 @@ def design_for(
     cache: Path,
     clock: Clock,
     *,
+    first: Proposal | None = None,
     name: str = "",
     named: str = "",
     report: Report = lambda stage, share: None,
 ) -> GridDesign:
     """Try sets of loops until a design holds what is asked, or return the best within the time.
 
-    findings : of the grid. Other arguments and errors as `design_grid`.
+    findings : of the grid. first : the proposal for the first set, where it is there already. name, named :
+    of other proposals. Other arguments and errors as `design_grid`.
     """
     *_, search, faults = DESIGN_STAGES
+    if first is not None:
+        name, named = first.table.name, first.table.case
     weak = findings.weak
     weakest = {"base": weak.weakest.damping_ratio} | {r.point.name: r.least for r in findings.points}
     designs: list[GridDesign] = []
@@ -115,7 +182,9 @@ def design_for(
             clock.leave(f"a design for {names}")
             continue
         report(search, 0.0)
-        proposal = propose(findings, taken, cache, clock, name=name, case=named)
+        proposal = first
+        if proposal is None or proposal.taken is not taken:
+            proposal = propose(findings, taken, cache, clock, name=name, case=named)
         try:
             controller = _searched(proposal.table, cache, lambda share: report(search, share))
         except InterareaError as error:
@@ -138,11 +207,13 @@ def design_for(
         best = _with_faults(best, cache, clock, weakest, lambda share: report(faults, share))
     report(search, 1.0)
     report(faults, 1.0)
+    return best.because(_without_time(clock))
+
+
+def _without_time(clock: Clock) -> tuple[str, ...]:
     if not clock.left_out:
-        return best
-    return best.because(
-        (f"Within {clock.minutes:g} minutes there was no time for: {'; '.join(clock.left_out)}.",)
-    )
+        return ()
+    return (f"Within {clock.minutes:g} minutes there was no time for: {'; '.join(clock.left_out)}.",)
 
 
 def _searched(table: DesignTable, cache: Path, progress: Callable[[float], object]) -> Controller:
@@ -170,7 +241,7 @@ def _with_faults(
     table = design.proposal.table
     judged = judged_with_faults(table, design.controller, cache, clock, weakest=weakest, progress=progress)
     limited = table.model_copy(update={"limit_pu": judged.limit_pu})
-    return GridDesign(replace(design.proposal, table=limited), judged)
+    return replace(design, proposal=replace(design.proposal, table=limited), controller=judged)
 
 
 def _better(design: GridDesign) -> tuple[int, float, int]:

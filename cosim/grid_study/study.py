@@ -13,7 +13,6 @@ from threadpoolctl import threadpool_limits
 
 from interarea.design.controllers.controller import Controller, plain
 from interarea.design.delay.signal_conditions import Condition
-from interarea.design.errors import InfeasibleDesign
 from interarea.design.modes.loop_points import LoopSet
 from interarea.design.robust.operating_points import inter_area_band, judge_family
 from interarea.fmu_build.write.cache import cached_json, code_hash, content_hash, place
@@ -28,21 +27,14 @@ from ..designs.worth import design_rival, has_rival, with_rival, worth
 from ..errors import ScenarioError, machine_error
 from ..run.artefacts import plant_fmu
 from ..run.controllers import controller_fmu
-from .automatic import DESIGN_STAGES, GridDesign, Report, design_for, findings_of
-from .beside_local import beside_local, leaves_something
+from .automatic import DESIGN_STAGES, GridDesign, Report, design_of_findings, findings_of
 from .choices import WEAK, Choices
 from .clock import Clock
-from .local_stabilizers import local_rival, which_to_build
 from .page import mode_shapes, write_page
-from .proposal import Findings, Proposal, propose
-from .weak_modes import WeakModes, in_words, modes_of_grid, weak_modes
+from .proposal import Findings, Proposal
+from .weak_modes import in_words, modes_of_grid, weak_modes
 
-STAGES = (
-    *DESIGN_STAGES[:2],
-    "local stabilizers",
-    *DESIGN_STAGES[2:],
-    *("own-signal rival", "latency", "FMUs and page"),
-)
+STAGES = (*DESIGN_STAGES, "own-signal rival", "latency", "FMUs and page")
 #: the grid with its local stabilizers, where a wide-area loop is designed for what they leave
 STABILIZED = "with_stabilizers.toml"
 #: s, of all signals: curves of damping
@@ -106,11 +98,15 @@ def study_grid(
             findings = findings_of(weak, cache, clock, report=report)
             study |= _findings(findings)
             written()
-            done, local = _designed(findings, out, cache, clock, named, report)
+            done = design_of_findings(
+                findings, cache, clock, named=named, named_stabilized=STABILIZED, report=report
+            )
+            if done.stabilized is not None:
+                export_toml(done.stabilized, out / STABILIZED)
             table, controller = done.proposal.table, done.controller
             study["certificate"] = controller.certificate
             study |= _findings(done.proposal.findings, done.proposal) | _proposed(done.proposal)
-            study["local"] = _local(done, local, out / "local.json")
+            study["local"] = _local(done, out / "local.json")
             write_whole(out / "design.toml", done.proposal.text().encode())
             written()
             report(rival, 0.0)
@@ -143,35 +139,6 @@ def study_grid(
         write_whole(out / "study.json", f"{text}\n".encode())
         report(last, 1.0)
     return study
-
-
-def _designed(
-    findings: Findings, out: Path, cache: Path, clock: Clock, named: str, report: Report
-) -> tuple[GridDesign, Controller | None]:
-    """Tune local stabilizers, then design a wide-area loop: for what they leave where that is something.
-
-    Returns the design, of the grid with its stabilizers or without, and the local stabilizers by themselves.
-    """
-    beside, weak = STAGES[2], findings.weak
-    report(beside, 0.0)
-    first = propose(findings, findings.sets[0], cache, clock, case=named)
-    local = local_rival(weak, first.table, cache, clock, progress=lambda share: report(beside, 0.9 * share))
-    stabilized: WeakModes | None = None
-    lines: tuple[str, ...] = ()
-    if local is not None and leaves_something(local, first.table.ask):
-        stabilized = beside_local(weak, local, cache)
-    report(beside, 1.0)
-    if stabilized is not None:
-        clock.again()
-        try:
-            again = findings_of(stabilized, cache, clock, report=report)
-            export_toml(stabilized.case, out / STABILIZED)
-            name = f"{first.table.name}_with_stabilizers"
-            return design_for(again, cache, clock, name=name, named=STABILIZED, report=report), local
-        except InfeasibleDesign as error:
-            lines = (f"No loop came out for the grid with local stabilizers: {error}.",)
-    done = design_for(findings, cache, clock, named=named, report=report)
-    return done.because(lines), local
 
 
 def defaults_of(case: Case, cache: Path) -> tuple[dict[str, Any], list[str]]:
@@ -231,16 +198,14 @@ def _proposed(proposal: Proposal) -> dict[str, Any]:
     }
 
 
-def _local(done: GridDesign, local: Controller | None, file: Path) -> dict[str, Any]:
+def _local(done: GridDesign, file: Path) -> dict[str, Any]:
     """Return local stabilizers beside the wide-area loop as JSON values; write them to `file`."""
-    requested, installed = done.proposal.table.ask, done.proposal.findings.weak.stabilized
-    asked = (requested.inter_area, requested.worst_swing)
-    sentence = which_to_build(done.controller, local, asked, installed)
+    local, installed = done.local, done.proposal.findings.weak.stabilized
     if local is None:
-        return {"sentence": sentence, "stabilizers": [], "certificate": None, "installed": []}
+        return {"sentence": done.sentence, "stabilizers": [], "certificate": None, "installed": []}
     local.save(file)
     return {
-        "sentence": sentence,
+        "sentence": done.sentence,
         "installed": list(installed),
         "stabilizers": list(local.design["local"]),
         "limit_pu": local.limit_pu,

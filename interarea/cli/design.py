@@ -71,8 +71,9 @@ def design(
     """Design a controller, from a design file or a grid alone; exit code 1 if it misses what was asked.
 
     The starts that were tried are shown beside the result, and so are controllers given by `--against`. For
-    a grid, loops, operating points and what is asked follow from it by rules; the design file is written
-    beside the controller, each choice with its reason, to go on from.
+    a grid, loops, operating points and what is asked follow from it by rules: local stabilizers first, then a
+    wide-area loop for what they leave. The design file is written beside the controller, each choice with its
+    reason, to go on from; the local stabilizers beside both.
     """
     from interarea.cosim.designs.comparison import FIGURES, compare, save_comparison
     from interarea.cosim.designs.design_file import DESIGN_STEPS, load_design, run_design
@@ -148,18 +149,28 @@ def _show_designed(
 
 def _show_made(made: GridDesign, assumptions: list[str], files: list[Path], *, json_: bool) -> None:
     """Print what a design for a grid came to; exit code 1 where it misses what was asked."""
+    from interarea.cosim.grid_study.page import sentence
+
     reasons = list(made.proposal.reasons)
     if json_:
-        document = {"controller": made.controller.name, "certificate": made.certificate, "reasons": reasons}
-        document |= {"assumptions": assumptions, "files": [str(path) for path in files]}
+        document = {
+            "controller": made.controller.name,
+            "certificate": made.certificate,
+            "reasons": reasons,
+            "which_to_build": made.sentence,
+            "passed": made.passed,
+            "assumptions": assumptions,
+            "files": [str(path) for path in files],
+        }
         typer.echo(json.dumps(document, indent=2, allow_nan=False))
     else:
         for line in (*assumptions, *reasons):
             typer.echo(line)
         _show(made.controller.name, _certificate_of(made.controller), made.proposal.table)
+        typer.echo(sentence(made.sentence))
         for path in files:
             typer.echo(path)
-    if not made.certificate["passed"]:
+    if not made.passed:
         raise typer.Exit(1)
 
 

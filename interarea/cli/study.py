@@ -335,7 +335,7 @@ def _study_grid(
 
 
 def design_for_grid(name: str, case: Case, out: Path, minutes: float | None) -> tuple[GridDesign, list[Path]]:
-    """Make the design of a grid; write the controller, and the design file beside it; return the files."""
+    """Make the design of a grid; write controllers, design file and grids that it names; return the files."""
     from interarea.cosim.grid_study.automatic import DESIGN_STAGES, design_grid
     from interarea.cosim.grid_study.choices import MINUTES
     from interarea.cosim.grid_study.clock import Clock
@@ -346,19 +346,34 @@ def design_for_grid(name: str, case: Case, out: Path, minutes: float | None) -> 
 
     from .destination import file_for
 
-    files, named = [out, file_for(out.with_suffix(".design.toml"))], name
-    if name not in case_names():
-        files.append(file_for(out.with_suffix(".case.toml")))
-        named = files[-1].name
+    design, imported, stabilized, local = (
+        file_for(out.with_suffix(suffix))
+        for suffix in (".design.toml", ".case.toml", ".stabilizers.toml", ".local.json")
+    )
+    named = name if name in case_names() else imported.name
     with stage_progress(DESIGN_STAGES) as report:
-        clock, controller = Clock(minutes or MINUTES), _identifier(out.stem)
-        done = design_grid(case, default_cache(), clock, name=controller, named=named, report=report)
+        clock = Clock(minutes or MINUTES)
+        done = design_grid(
+            case,
+            default_cache(),
+            clock,
+            name=_identifier(out.stem),
+            named=named,
+            named_stabilized=stabilized.name,
+            report=report,
+        )
+    grids = {imported: case if named != name else None, stabilized: done.stabilized}
+    controllers = {out: done.controller, local: done.local}
     with together():
-        done.controller.save(out)
-        write_whole(files[1], done.proposal.text())
-        if named != name:
-            export_toml(case, files[-1])
-    return done, files
+        for file, controller in controllers.items():
+            if controller is not None:
+                controller.save(file)
+        write_whole(design, done.proposal.text())
+        for file, grid in grids.items():
+            if grid is not None:
+                export_toml(grid, file)
+    made = {**controllers, design: done.proposal, **grids}
+    return done, [file for file, content in made.items() if content is not None]
 
 
 def _identifier(text: str) -> str:

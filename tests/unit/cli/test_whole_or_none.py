@@ -133,7 +133,7 @@ def test_files_of_a_grid_study_are_refused_before_it_is_begun(
 def test_the_design_file_of_a_grid_is_refused_before_it_is_begun(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for blocked in ("made.design.toml", "made.case.toml"):
+    for blocked in ("made.design.toml", "made.case.toml", "made.local.json", "made.stabilizers.toml"):
         (tmp_path / blocked).mkdir()
         code, _, err = invoke(["design", "grid.m", "--out", "made.json"], monkeypatch)
         assert code == 2 and blocked in err, err

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from interarea.cosim.designs.design_tables import AskTable
-from interarea.cosim.grid_study import faults, local_stabilizers
+from interarea.cosim.grid_study import automatic, faults, local_stabilizers
+from interarea.cosim.grid_study.automatic import design_grid
 from interarea.cosim.grid_study.beside_local import (
     beside_local,
     installable,
@@ -31,6 +32,7 @@ from interarea.cosim.grid_study.study import STABILIZED, study_grid
 from interarea.cosim.grid_study.weak_modes import WeakModes, modes_of_grid, weak_modes
 from interarea.cosim.run.artefacts import linear_plant
 from interarea.design.certificates.closed_loop import closed_loop_matrix
+from interarea.design.controllers.controller import Controller
 from interarea.design.linear.linearise import remove_reference, speeds_in_rad
 from interarea.design.robust.smoothed_objective import BandOffsets
 from interarea.fmu_build.write.cache import default_cache
@@ -141,21 +143,17 @@ def test_both_are_designed_where_local_stabilizers_miss_what_is_asked(
     """One local stabilizer, one actuator, two signals, one fault; more take minutes."""
     monkeypatch.setattr(faults, "LIMITS_PU", (0.05,))
     monkeypatch.setattr(local_stabilizers, "MOST", 1)
-    study = study_grid(
-        load_case("two-area-thesis"),
-        tmp_path,
-        default_cache(),
-        named="two-area-thesis",
-        choices=Choices(
-            grid="two-area-thesis",
-            minutes=60.0,
-            inter_area=0.14,
-            most_actuators=1,
-            signals=2,
-            latencies_ms=(150,),
-            faults=1,
-        ),
+    case = load_case("two-area-thesis")
+    choices = Choices(
+        grid="two-area-thesis",
+        minutes=60.0,
+        inter_area=0.14,
+        most_actuators=1,
+        signals=2,
+        latencies_ms=(150,),
+        faults=1,
     )
+    study = study_grid(case, tmp_path, default_cache(), named="two-area-thesis", choices=choices)
     assert study["problem"] is None
     local = study["local"]
     assert local["installed"] and local["certificate"]["inter_area"] < 0.14
@@ -169,3 +167,17 @@ def test_both_are_designed_where_local_stabilizers_miss_what_is_asked(
     assert load_case(tmp_path / STABILIZED).machine(machine).stabilizer is not None
     _, out, _ = interarea("certify", tmp_path / "controller.json", "--json")
     assert json.loads(out)["inter_area"] == pytest.approx(certificate["inter_area"], abs=1e-9)
+    again = design_grid(  # of which all parts are in the cache
+        case, default_cache(), Clock(60.0), choices=choices, named=case.name, named_stabilized=STABILIZED
+    )
+    assert again.certificate == certificate
+    monkeypatch.setattr(automatic, "design_grid", lambda *_, **named: names.update(named) or again)
+    names: dict[str, Any] = {}
+    code, out, _ = interarea("design", "two-area-thesis", "--out", tmp_path / "k.json")
+    files = [tmp_path / f"k.{end}" for end in ("json", "local.json", "design.toml", "stabilizers.toml")]
+    assert out.splitlines()[-len(files) :] == [str(file) for file in files]
+    assert code == (0 if again.passed else 1)
+    assert names["named_stabilized"] == files[-1].name
+    assert load_case(files[-1]).machine(machine).stabilizer is not None
+    local_there = Controller.load(files[1])
+    assert local_there.outputs == (f"{machine}_vs",)
