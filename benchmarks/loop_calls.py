@@ -22,7 +22,8 @@ import numpy as np
 
 from interarea.cosim.results.result import Result
 from interarea.cosim.run.run import run_scenario, run_system
-from interarea.cosim.scenario.scenario import load_scenario, scenario_names
+from interarea.cosim.scenario.scenario import load_scenario
+from interarea.models.bundled import bundled
 
 TWO_AREAS = {
     "case": "two-area-thesis",
@@ -77,7 +78,7 @@ def main() -> None:
     parser.add_argument("--hashes", action="store_true", help="hashes of all bundled scenarios, as JSON")
     args = parser.parse_args()
     if args.hashes:
-        print(json.dumps({name: run_hash(name) for name in scenario_names()}, indent=1))
+        print(json.dumps({name: run_hash(name) for name in bundled("scenario")}, indent=1))
         return
     scenario = load_scenario(TWO_AREAS)
     for what, run in (

@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Callable, Iterable, Sequence
+from importlib import import_module
 from itertools import pairwise
-from typing import Any
+from pathlib import Path
+from typing import Annotated, Any
 
 import typer
 
@@ -18,6 +20,18 @@ from .command_help import EXAMPLES
 
 Error: Any = typer.BadParameter.__base__  #: typer's own, or click's where typer is older
 
+#: kind of what a word names -> what raises UserError where it names none, and loads little
+_REQUIRED = {
+    "case": "models.case.document:case_file",
+    "controller": "cosim.scenario.names:require_controller",
+    "design": "cosim.scenario.named:design_file",
+    "detector": "cosim.scenario.named:require_detector",
+    "record": "cosim.records.read:require_record",
+    "scenario": "cosim.scenario.named:scenario_file",
+    "subject": "cosim.scenario.named:require_subject",
+    "text": "cosim.scenario.named:require_text",
+}
+_NAMES = "interarea.names"  # in what a context knows: kinds and words that must name one
 LARGEST = 1e9  #: of the numbers that options take, whatever their unit
 
 #: how typer's messages on a value begin -> what is allowed
@@ -89,8 +103,39 @@ def within(
     return check
 
 
+def naming(kind: str) -> Callable[[typer.Context, Any], Any]:
+    """Return the callback of a parameter whose words must name something: `check_names` looks at them.
+
+    kind : of `_REQUIRED`.
+    """
+
+    def note(context: typer.Context, value: Any) -> Any:
+        words = value if isinstance(value, list) else [value]
+        context.meta.setdefault(_NAMES, []).extend((kind, str(one)) for one in words if one is not None)
+        return value
+
+    return note
+
+
+def check_names(context: typer.Context) -> None:
+    """Refuse words that name nothing, before what would read them is loaded. Raises UserError."""
+    for kind, word in context.meta.get(_NAMES, ()):
+        module, _, function = _REQUIRED[kind].partition(":")
+        getattr(import_module(f"interarea.{module}"), function)(word)
+
+
 ABOVE_0_S = within(above=0.0, unit="s")
 FROM_0_S = within(least=0.0, unit="s")
+CaseName = Annotated[
+    str,
+    typer.Argument(
+        metavar="CASE", help="bundled case or TOML file", show_default=False, callback=naming("case")
+    ),
+]
+Dyr = Annotated[
+    Path | None,
+    typer.Option("--dyr", metavar="FILE", help="PSS/E dynamic data of a grid", callback=naming("text")),
+]
 
 
 def mistake(error: Any, words: Sequence[str], command: Any = None) -> UsageMistake:

@@ -1,18 +1,31 @@
-"""What kind of bundled file has a name: for the line on a name given where another kind is wanted."""
+"""Bundled files by kind and name, and what kind has a name that is given where another is wanted."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 _PACKAGE = Path(__file__).resolve().parents[1]
+_BANK = "bank_"  # before the name of a bank of controllers in that of its file
 #: kind -> its bundled files, and the command that takes the name
 _KINDS = {
-    "case": ("models/cases/{}.toml*", "interarea modes {}"),
-    "scenario": ("cosim/scenario/bundled/{}.toml", "interarea run {}"),
-    "controller": ("design/controllers/{}.json", "interarea compare {}"),
-    "design": ("cosim/designs/design_{}.toml", "interarea design {}"),
-    "study": ("cosim/study/thesis/study_{}.toml", "interarea study {}"),
+    "case": ("models/cases/*.toml*", "interarea modes {}"),
+    "scenario": ("cosim/scenario/bundled/*.toml", "interarea run {}"),
+    "controller": ("design/controllers/*.json", "interarea compare {}"),
+    "design": ("cosim/designs/design_*.toml", "interarea design {}"),
+    "study": ("cosim/study/thesis/study_*.toml", "interarea study {}"),
 }
+
+
+def bundled(kind: str) -> dict[str, Path]:
+    """Return name -> file of what is bundled of a kind, banks among the controllers, sorted by file.
+
+    >>> list(bundled("study"))
+    ['thesis']
+    """
+    pattern = _KINDS[kind][0]
+    prefix = _BANK if kind == "controller" else pattern.rpartition("/")[2].partition("*")[0]
+    files = sorted(_PACKAGE.glob(pattern))
+    return {path.name.partition(".")[0].removeprefix(prefix): path for path in files}
 
 
 def bundled_elsewhere(name: str, wanted: str) -> str | None:
@@ -23,9 +36,7 @@ def bundled_elsewhere(name: str, wanted: str) -> str | None:
     >>> bundled_elsewhere("two-area-theses", "scenario") is None
     True
     """
-    if not name.replace("-", "").replace("_", "").isalnum():  # nothing that a pattern or a path means
-        return None
-    for kind, (files, command) in _KINDS.items():
-        if kind != wanted and any(_PACKAGE.glob(files.format(name))):
+    for kind, (_, command) in _KINDS.items():
+        if kind != wanted and name in bundled(kind):
             return f"is a bundled {kind} (`{command.format(name)}`), wanted: a {wanted}"
     return None

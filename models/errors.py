@@ -66,7 +66,7 @@ def nearest(name: object, known: Iterable[object]) -> str:
     >>> nearest("kundur", ["kundur-manual", "new-england"])
     'did you mean kundur-manual?'
     """
-    names = [str(k) for k in known]
+    names = list(dict.fromkeys(str(k) for k in known))
     close = difflib.get_close_matches(str(name), names, n=3, cutoff=0.5)
     if close:
         return f"did you mean {' or '.join(close)}?"

@@ -20,12 +20,12 @@ from interarea.design.robust.operating_points import FamilyCertificate, inter_ar
 from interarea.design.robust.smoothed_objective import BandOffsets
 from interarea.design.robust.spec import RobustSpec, require_moved
 from interarea.models.blocks.plant_shown import shown_of
-from interarea.models.bundled import bundled_elsewhere
 from interarea.models.case.case import Case, load_case
 from interarea.models.mistakes import mistakes
 from interarea.models.table import Table
 
 from ..errors import ScenarioError, nearest
+from ..scenario.named import design_file as named_file
 from ..toml_file import case_beside, read_toml
 from .acceptance import AcceptanceTable, judge_acceptance
 from .certificate_words import not_covered
@@ -221,13 +221,7 @@ def load_design(path: str | Path) -> DesignTable:
 
     Raises ScenarioError naming file, key, value and what is allowed.
     """
-    path = Path(path)
-    bundled = Path(__file__).parent / f"design_{path}.toml"
-    file = bundled if not path.suffix and bundled.exists() else path
-    if not file.exists():
-        other = bundled_elsewhere(str(path), "design")
-        what = other or f"is neither a file nor bundled; {nearest(str(path), design_names())}"
-        raise ScenarioError(f"design {str(path)!r} {what}")
+    file = named_file(path)
     return design_of(case_beside(read_toml(file, "design", ScenarioError), file.parent), where=str(path))
 
 
@@ -244,12 +238,6 @@ def design_of(keys: Mapping[str, Any], *, where: str = "design") -> DesignTable:
     except ValueError as error:
         raise ScenarioError(f"{where}: {error}") from error
     return table
-
-
-def design_names() -> list[str]:
-    """Return the names of the bundled design files."""
-    folder = Path(__file__).parent
-    return sorted(p.stem.removeprefix("design_") for p in folder.glob("design_*.toml"))
 
 
 @dataclass(frozen=True)

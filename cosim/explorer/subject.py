@@ -16,16 +16,18 @@ from interarea.design.controllers.controller import Controller
 from interarea.design.errors import InfeasibleDesign, SolverError, UncertifiedDesign
 from interarea.design.linear.linearise import LinearisationError, remove_reference
 from interarea.design.modes.modes import ModeError
+from interarea.models.bundled import bundled
 from interarea.models.case.case import Case, case_names, load_case
 from interarea.models.documents import DocumentError, parse_toml
 from interarea.models.errors import CaseError
 from interarea.models.grid.equilibrium import OperatingPoint, operating_point
 
-from ..errors import ScenarioError, nearest
+from ..errors import ScenarioError
 from ..run.artefacts import linear_plant
 from ..run.controllers import controller_of
+from ..scenario.named import require_subject
 from ..scenario.names import CONTROLLER_NAMES
-from ..scenario.scenario import Scenario, load_scenario, scenario_names
+from ..scenario.scenario import Scenario, load_scenario
 
 if TYPE_CHECKING:
     AnyController = Controller | ControllerBank
@@ -170,12 +172,8 @@ def subject_of(
     if isinstance(source, Scenario):
         return _of_scenario(source, cache)
     name = str(source)
-    if name in scenario_names() or not _is_case(Path(source)):
-        if name not in scenario_names() and not Path(source).exists():
-            raise ScenarioError(
-                f"{name!r} is neither a file nor a bundled scenario or case; "
-                f"{nearest(name, [*scenario_names(), *case_names()])}"
-            )
+    require_subject(name)
+    if name in bundled("scenario") or not _is_case(Path(source)):
         return _of_scenario(load_scenario(source), cache)
     case = load_case(source)
     alone = Subject(_scenario_of_case(name, case), case, cache, own or {})

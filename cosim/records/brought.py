@@ -18,8 +18,8 @@ from scipy.stats import norm
 from .ambient import LEVEL, Estimate, estimate_of_one
 from .forced import FORCED, MODAL, lines_of, without
 from .meter import Meter, Swing, meter, plain_estimate
-from .record import Array, Record, RecordError
-from .signals import BAND_HZ, Swings, swings_of
+from .record import BAND_HZ, Array, Record, RecordError
+from .signals import Swings, swings_of
 
 if TYPE_CHECKING:
     from interarea.design.modes.modes import Mode

@@ -21,8 +21,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 from scipy.signal import butter, sosfiltfilt
 
-from .record import Array, Record, RecordError
-from .signals import BAND_HZ
+from .record import BAND_HZ, Array, Record, RecordError
 
 _SIDE_HZ, _SIDE = 0.15, 0.25  # of the band-pass, at most this share of the frequency
 _EDGE_PERIODS = 2.0  # left out at both ends, where the filter sets in

@@ -14,8 +14,8 @@ from ..results import matrix_pencil as pencil
 from ..results import metrics as m
 from .ambient import LEVEL, AmbientMode, Estimate, ambient_modes
 from .forced import FORCED, LEAST_DAMPING, MODAL, UNDECIDED, Line, lines_of, without
-from .record import Array, Record, RecordError
-from .signals import BAND_HZ, Swings, swings_of
+from .record import BAND_HZ, Array, Record, RecordError
+from .signals import Swings, swings_of
 
 if TYPE_CHECKING:
     from interarea.design.modes.modes import Mode

@@ -29,8 +29,7 @@ from interarea.models.case.case import Case
 
 from .energy import strongest_line
 from .forced import sines
-from .record import Array, Record, RecordError
-from .signals import BAND_HZ
+from .record import BAND_HZ, Array, Record, RecordError
 
 ComplexArray = npt.NDArray[np.complex128]
 

@@ -92,6 +92,11 @@ def read_record(
     return record if window_s is None else record.between(*window_s)
 
 
+def require_record(path: str | Path) -> None:
+    """Require that a path is that of a regular file, which is not read. Raises RecordError."""
+    require_regular(Path(path), WANTED, RecordError)
+
+
 _Loaded = tuple[Array, Array, list[Raw], list[str], str]
 
 
@@ -101,9 +106,7 @@ def _loaded(source: Any, frequency_hz: float) -> _Loaded:
             raise RecordError(f"source: is {type(source).__name__}, wanted: {WANTED}, or a DataFrame")
         return _frame(source)
     path = Path(source)
-    require_regular(path, WANTED)
-    if not path.exists():
-        raise RecordError(f"{path}: no such file, wanted: {WANTED}")
+    require_record(path)
     with path.open("rb") as file:
         head = file.read(4096)
     if head.startswith(b"PAR1"):

@@ -30,6 +30,7 @@ UNITS = {
     "status": ("1",),
     "other": ("1",),
 }
+BAND_HZ = (0.1, 2.5)  #: in which oscillations are looked for, without another
 ANGLES = ("rotor angle", "voltage angle", "current angle")
 _STILL = 1e-12  # of the largest value of a channel: less than this is the rounding of its numbers
 

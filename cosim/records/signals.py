@@ -9,9 +9,8 @@ import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
 from .even import resampled
-from .record import Array, Record, RecordError
+from .record import BAND_HZ, Array, Record, RecordError
 
-BAND_HZ = (0.1, 2.5)
 #: what is looked at where it was measured, the best first
 _QUANTITIES = ("speed", "frequency", "active power", "rotor angle", "voltage angle", "voltage")
 _ANGLES = ("rotor angle", "voltage angle")

@@ -16,7 +16,7 @@ from interarea.design.controllers.bundled import (
     shipped_controller,
     shipped_names,
 )
-from interarea.design.controllers.controller import Controller, ControllerError
+from interarea.design.controllers.controller import Controller
 from interarea.fmu_build.open.ports import DLL_SUFFIXES
 from interarea.fmu_build.write.cache import (
     artefact,
@@ -31,7 +31,7 @@ from interarea.models.blocks.variables import Block
 from interarea.models.case.case import Case
 
 from ..errors import ScenarioError, nearest
-from ..scenario.names import CONTROLLER_NAMES, NAMED_CONTROLLERS, no_controller
+from ..scenario.names import CONTROLLER_NAMES, NAMED_CONTROLLERS, require_controller
 from ..toml_file import case_beside
 from .artefacts import built_fmu, linear_plant, plant_fmu
 from .controller_fmu import controller_from_fmu
@@ -69,16 +69,13 @@ def controller_of(
     if name in NAMED_CONTROLLERS:
         return design_controller(case, name, cache)
     path = folder / name
-    if path.is_dir():
-        raise ControllerError(f"controller {path}: is a folder, wanted: a JSON file or an FMU")
     if path.suffix in DLL_SUFFIXES:
         raise ScenarioError(
             f"controller = {name!r} is a DLL, its equations are not known; use it in a run or a `System`"
         )
+    require_controller(name, folder)
     if path.suffix == ".fmu":
         return controller_from_fmu(path, case.omega_b)
-    if not path.is_file():
-        raise ScenarioError(no_controller(name))
     controller = load_controller(path)
     specification = controller.design.get("specification")
     if not isinstance(specification, Mapping):

@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from interarea.design.controllers.bundled import FOLDER, shipped_names
-from interarea.models.documents import parse_json
+from interarea.fmu_build.open.ports import DLL_SUFFIXES
+from interarea.models.documents import parse_json, require_regular
 from interarea.models.errors import Collected
 
 from ..errors import ScenarioError
@@ -24,6 +25,7 @@ def refuse_wrong_names(scenario: Scenario) -> None:
     CaseError, ScenarioError : as `system_of`.
     """
     place, path = scenario.case_path, scenario.controller_path
+    _require_regular_files(scenario)
     if not scenario.case or (isinstance(place, Path) and place.exists()):
         return
     case = grid_of(scenario.folder, scenario.case) if scenario.as_in_file else scenario.load_case()
@@ -39,6 +41,16 @@ def refuse_wrong_names(scenario: Scenario) -> None:
             channel.parameters(f"{scenario.name}: channels.{name}")
     if wrong.lines and _checked_without_fmus(scenario, case, missing):
         raise ScenarioError(*wrong.lines)
+
+
+def _require_regular_files(scenario: Scenario) -> None:
+    """Raise ScenarioError where a case, controller or FMU that is named is a folder, a device or a pipe."""
+    fmus = [scenario.folder / table.file for table in scenario.fmus.values()]
+    for path in (scenario.case_path, scenario.controller_path, *fmus):
+        if isinstance(path, Path) and path.exists():
+            dll = "an IEEE/CIGRE DLL" if path.suffix in DLL_SUFFIXES else "an FMU"
+            wanted = {".toml": "a case file", ".json": "a controller file"}.get(path.suffix, dll)
+            require_regular(path, wanted, ScenarioError)
 
 
 def _checked_without_fmus(scenario: Scenario, case: Any, missing: bool) -> bool:

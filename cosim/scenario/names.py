@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from interarea.design.controllers.bundled import shipped_banks, shipped_names
 from interarea.models.bundled import bundled_elsewhere
 from interarea.models.case.document import ROW_TABLES
+from interarea.models.documents import require_regular
 from interarea.models.errors import Collected, UserError
 
 from ..errors import ScenarioError, nearest
@@ -73,6 +74,23 @@ def wrong_controller(name: Any, where: str, folder: Path) -> Iterator[str]:
         return
     if not (folder / name).exists():
         yield f"{where}: {no_controller(name)}"
+
+
+def require_controller(name: str, folder: Path = Path()) -> None:
+    """Require that a controller is one of the names, or a file in `folder`; the file is not read.
+
+    Raises
+    ------
+    ScenarioError : neither, with the nearest names; a folder, or no regular file.
+    """
+    path = folder / name
+    if name in NAMED_CONTROLLERS or path.is_file():
+        return
+    if path.is_dir():
+        raise ScenarioError(f"controller {path}: is a folder, wanted: a JSON file or an FMU")
+    if path.suffix == ".fmu":
+        require_regular(path, "the FMU of a controller", ScenarioError)
+    raise ScenarioError(no_controller(name))
 
 
 def no_controller(name: str) -> str:

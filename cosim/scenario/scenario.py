@@ -95,19 +95,19 @@ from pydantic import (
 )
 
 from interarea.fmu_build.open.ports import DLL_SUFFIXES
-from interarea.models.bundled import bundled_elsewhere
 from interarea.models.documents import in_seconds
 from interarea.models.errors import Collected, UserError
 from interarea.models.mistakes import mistakes
 from interarea.models.table import ShortName, Table, Title
 
 from ..clock import event_on_ticks, on_tick, roundings
-from ..errors import ScenarioError, nearest
+from ..errors import ScenarioError
 from ..toml_file import read_toml
 from .channels import Seconds
 from .detector import DetectorTable
 from .expectation import Expectation
 from .master_table import MasterTable
+from .named import scenario_file
 from .names import NAMED_CONTROLLERS, beside, grid_of, wrong_names
 from .signal_paths import ChannelTable, ConcentratorTable, SignalPath, signal_faults_of, signal_paths_of
 
@@ -373,16 +373,7 @@ def load_scenario(
         return source
     if isinstance(source, Mapping):
         return _checked(dict(source), "scenario", Path(), frequency_hz)
-    path = Path(source)
-    if not path.suffix and not path.exists():
-        path = BUNDLED / f"{path.name}.toml"
-        if not path.is_file():
-            if (other := bundled_elsewhere(str(source), "scenario")) is not None:
-                raise ScenarioError(f"{source} {other}")
-            hint = nearest(str(source), scenario_names())
-            raise ScenarioError(f"scenario {str(source)!r} is neither a file nor bundled; {hint}")
-    if not path.exists():
-        raise ScenarioError(f"{path}: no such scenario file")
+    path = scenario_file(source)
     if path.suffix.lower() == ".ssp":
         from .ssp import table_of_ssp
 
@@ -390,11 +381,6 @@ def load_scenario(
         return _checked(table, str(path), folder, frequency_hz)
     table = read_toml(path, "scenario", ScenarioError)
     return _checked({"name": path.stem[:64], **table}, str(path), path.parent, frequency_hz)
-
-
-def scenario_names() -> list[str]:
-    """Return the names of the bundled scenarios."""
-    return sorted(p.stem for p in BUNDLED.glob("*.toml"))
 
 
 def _frequency_hz(table: Mapping[str, Any], where: str, folder: Path) -> float:

@@ -11,25 +11,19 @@ from pydantic import TypeAdapter, ValidationError
 
 from interarea.design.synthesis.study_designs import SPECIFICATIONS as DESIGNS
 from interarea.design.synthesis.study_designs import StudySpec
-from interarea.models.bundled import bundled_elsewhere
 from interarea.models.case.case import load_case
-from interarea.models.case.document import case_names
 from interarea.models.documents import in_seconds
 from interarea.models.errors import Collected
 from interarea.models.mistakes import mistakes
 
-from ..errors import ScenarioError, nearest
+from ..errors import ScenarioError
+from ..scenario.named import study_file
 from ..scenario.names import beside, wrong_names
 from ..toml_file import read_toml
 from .tables import ClaimsTable, StudyTable
 
 SPECIFICATIONS = Path(__file__).resolve().parent / "thesis"  #: folder of the bundled studies
 PREFIX = "study_"
-
-
-def study_names() -> list[str]:
-    """Return the names of the bundled studies."""
-    return sorted(p.stem.removeprefix(PREFIX) for p in SPECIFICATIONS.glob(f"{PREFIX}*.toml"))
 
 
 def load_study(name: str) -> Mapping[str, Any]:
@@ -41,14 +35,7 @@ def load_study(name: str) -> Mapping[str, Any]:
     ------
     ScenarioError : neither bundled nor a file, no TOML, or a line for each mistake in it.
     """
-    path = Path(name) if name.endswith(".toml") else SPECIFICATIONS / f"{PREFIX}{name}.toml"
-    if not path.is_file():
-        if (other := bundled_elsewhere(name, "study")) is not None:
-            raise ScenarioError(f"{name} {other}")
-        raise ScenarioError(
-            f"study {name!r} is no bundled study, grid or file; "
-            + nearest(name, [*study_names(), *case_names()])
-        )
+    path = study_file(name)
     provided = read_toml(path, "study", ScenarioError)
     if isinstance(provided.get("case"), str):
         provided["case"] = str(beside(path.parent, provided["case"]))

@@ -128,7 +128,7 @@ class Runner:
             return False
 
     def refused(self, run: int) -> str:
-        """Return why no system can be made of run number `run`; "" where it can. No FMU is loaded."""
+        """Return why run number `run` cannot be wired into a loop; "" where it can. No FMU is loaded."""
         sweep = self.plan.sweep
         values = dict(sweep.values(run))
         if sweep.searched is not None:
@@ -136,12 +136,12 @@ class Runner:
             values[name] = search.low
         try:
             point = point_of(sweep, values, base=self._packed)
-            self._system(point, max(EVENT_SLOTS, slot_count(point.scenario.event)))
+            with self._system(point, max(EVENT_SLOTS, slot_count(point.scenario.event))).master():
+                return ""
         except InterareaError as error:
             if machine_error(error) is not None:
                 raise
             return " ".join(str(error).split())
-        return ""
 
     def plant_of(self, values: Mapping[str, Value]) -> tuple[Case, Path]:
         """Return the case of a point and its plant FMU (there until other cases are asked for)."""

@@ -16,7 +16,6 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 import numpy.typing as npt
 from pydantic import Field, model_validator
-from scipy.special import ndtri
 
 from interarea.models.table import Table
 
@@ -123,6 +122,8 @@ class Draw(Table):
         if self.mean is None or self.deviation is None:
             assert self.low is not None and self.high is not None
             return _between(self.low, self.high, u, self.scale)
+        from scipy.special import ndtri  # scipy takes long to load
+
         value = self.mean + self.deviation * float(ndtri(u))
         return _clipped(value, self.low, self.high)
 

@@ -156,6 +156,11 @@ class _Command(_QuickHelp, TyperCommand):
         usage.check_numbers(self, ctx.params)
         return rest
 
+    def invoke(self, ctx: Any) -> Any:
+        """Refuse names of nothing before anything is loaded for them."""
+        usage.check_names(ctx)
+        return super().invoke(ctx)
+
 
 @contextmanager
 def _one_line(words: Sequence[str], command: Any = None) -> Iterator[None]:

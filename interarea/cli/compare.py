@@ -43,10 +43,13 @@ def compare(
 
     if out is not None:
         folder_for(out, files=("compare.json", "compare.html"))
+    from interarea.cosim.scenario.names import require_controller
     from interarea.cosim.scenario.scenario import load_scenario
 
     loaded = load_scenario(scenario)
-    # a mistake in the file is reported before what runs it is loaded
+    for name in controllers:
+        require_controller(name, Path() if Path(name).exists() else loaded.folder)
+    # a mistake in the file, or a name, is reported before what runs it is loaded
     from interarea.cosim.plots.loading import load_plots
 
     load_plots()

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ..command_usage import Dyr, naming
 from .certificates.bank import certify_bank
 from .certificates.curves import curves_of
 from .certificates.wrong_signals import certify_wrong, check_wrong_options
@@ -34,6 +35,7 @@ DesignFile = Annotated[
         metavar="SPEC.toml",
         help="design (file or bundled name) whose family judges; default: the controller's own",
         show_default=False,
+        callback=naming("design"),
     ),
 ]
 
@@ -53,7 +55,12 @@ def design(
     ],
     against: Annotated[
         list[str] | None,
-        typer.Option("--against", metavar="CONTROLLER", help="compare with this one too (may be repeated)"),
+        typer.Option(
+            "--against",
+            metavar="CONTROLLER",
+            help="compare with this one too (may be repeated)",
+            callback=naming("controller"),
+        ),
     ] = None,
     plots: Annotated[
         Path | None, typer.Option("--plots", metavar="DIR", help="draw the alternatives into it")
@@ -62,9 +69,7 @@ def design(
         bool,
         typer.Option(help="design the best controller without the signals from afar too, and compare"),
     ] = True,
-    dyr: Annotated[
-        Path | None, typer.Option("--dyr", metavar="FILE", help="PSS/E dynamic data of a grid")
-    ] = None,
+    dyr: Dyr = None,
     minutes: Minutes = None,
     json_: Annotated[bool, typer.Option("--json", help="print JSON instead of tables")] = False,
 ) -> None:
@@ -75,11 +80,8 @@ def design(
     wide-area loop for what they leave. The design file is written beside the controller, each choice with its
     reason, to go on from; the local stabilizers beside both.
     """
-    from interarea.cosim.designs.comparison import FIGURES, compare, save_comparison
-    from interarea.cosim.designs.design_file import DESIGN_STEPS, load_design, run_design
-    from interarea.cosim.designs.worth import design_rival, has_rival, with_rival, with_worth
-    from interarea.fmu_build.write.cache import default_cache
-    from interarea.models.case.case import load_case
+    from interarea.cosim.scenario.named import design_file
+    from interarea.models.case.document import case_names
 
     from .destination import file_for, folder_for
     from .grids import grid_of
@@ -93,6 +95,13 @@ def design(
         from interarea.models.errors import UserError
 
         raise UserError(f"--minutes: of a grid, not of the design {spec}; leave it out")
+    design_file(spec, also=case_names())  # before what takes seconds to load
+    from interarea.cosim.designs.comparison import FIGURES, compare, save_comparison
+    from interarea.cosim.designs.design_file import DESIGN_STEPS, load_design, run_design
+    from interarea.cosim.designs.worth import design_rival, has_rival, with_rival, with_worth
+    from interarea.fmu_build.write.cache import default_cache
+    from interarea.models.case.case import load_case
+
     table, cache = load_design(spec), default_cache()
     case = load_case(table.case)
     if table.bank is not None:
@@ -203,11 +212,15 @@ def certify(
             metavar="CONTROLLER",
             help="a name that `interarea list` shows, JSON file, or FMU",
             show_default=False,
+            callback=naming("controller"),
         ),
     ],
     spec: DesignFile = None,
     case: Annotated[
-        str | None, typer.Option("--case", metavar="CASE", help="another case than the design's")
+        str | None,
+        typer.Option(
+            "--case", metavar="CASE", help="another case than the design's", callback=naming("case")
+        ),
     ] = None,
     conditions: Annotated[
         str | None,
@@ -246,6 +259,7 @@ def certify(
             metavar="FILE.json",
             help="with --wrong-signals: a designed detector; default: its tests that need no design",
             show_default=False,
+            callback=naming("detector"),
         ),
     ] = None,
     out: Annotated[

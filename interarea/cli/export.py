@@ -11,8 +11,7 @@ import typer
 
 from interarea.fmu_build.errors import BuildError
 
-from ..command_usage import ABOVE_0_S
-from .modes import CaseName
+from ..command_usage import ABOVE_0_S, CaseName, naming
 from .study import OutFolder
 from .terminal import FileAsJson, busy, steps, tell_file
 
@@ -20,7 +19,13 @@ if TYPE_CHECKING:
     from interarea.models.blocks.variables import Block
 
 ScenarioFile = Annotated[
-    str, typer.Argument(metavar="SCENARIO.toml", help="scenario file, or a bundled name", show_default=False)
+    str,
+    typer.Argument(
+        metavar="SCENARIO.toml",
+        help="scenario file, or a bundled name",
+        show_default=False,
+        callback=naming("scenario"),
+    ),
 ]
 Platforms = Annotated[
     str | None,
@@ -48,7 +53,10 @@ def build(
     controller: Annotated[
         str | None,
         typer.Option(
-            "--controller", metavar="CONTROLLER", help="the FMU of this controller too, and that of a channel"
+            "--controller",
+            metavar="CONTROLLER",
+            help="the FMU of this controller too, and that of a channel",
+            callback=naming("controller"),
         ),
     ] = None,
     show: Annotated[
@@ -236,7 +244,10 @@ def explore(
         Path, typer.Option("--out", metavar="FILE.html", help="page to write", show_default=False)
     ],
     subject: Annotated[
-        str, typer.Argument(metavar="SCENARIO | CASE", help="a file, or a bundled name of either")
+        str,
+        typer.Argument(
+            metavar="SCENARIO | CASE", help="a file, or a bundled name of either", callback=naming("subject")
+        ),
     ] = "two-area-thesis",
     json_: FileAsJson = False,
 ) -> None:

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ..command_usage import CaseName, Dyr, naming
+
 if TYPE_CHECKING:
     from interarea.models.case.case import Case
 
@@ -21,7 +23,7 @@ _GRIDS = (
 def import_grid(
     grid: Annotated[str, typer.Argument(metavar="GRID", help=_GRIDS)],
     out: Annotated[Path, typer.Option("--out", metavar="CASE.toml", help="case file", show_default=False)],
-    dyr: Annotated[Path | None, typer.Option("--dyr", metavar="FILE", help="PSS/E dynamic data")] = None,
+    dyr: Dyr = None,
     P_exponent: Annotated[
         float | None,
         typer.Option("--p-exponent", help="loads: P against voltage (else 2)", show_default=False),
@@ -50,7 +52,10 @@ def import_grid(
         str, typer.Option("--dc-lines", metavar="model|power", help="or dc lines as constant powers")
     ] = "model",
     coordinates: Annotated[
-        Path | None, typer.Option("--coordinates", metavar="CSV", help="bus, latitude, longitude")
+        Path | None,
+        typer.Option(
+            "--coordinates", metavar="CSV", help="bus, latitude, longitude", callback=naming("text")
+        ),
     ] = None,
     release_limits: Annotated[
         bool, typer.Option("--release-limits", help="widen limits beyond which controls would start")
@@ -71,15 +76,18 @@ def import_grid(
     ] = False,
 ) -> None:
     """Read a grid, solve its power flow, write it as a case file; say what was read, assumed and dropped."""
-    from interarea.cosim.run.artefacts import growth_at_rest
-    from interarea.fmu_build.write.cache import default_cache
-    from interarea.models.case.write_toml import export_toml
-    from interarea.models.importers.file import import_grid as read_grid
+    from interarea.models.importers.published import require_grid
 
     from .destination import file_for
     from .terminal import busy
 
     file_for(out, suffix=".toml")
+    require_grid(grid)  # before what takes a second to load
+    from interarea.cosim.run.artefacts import growth_at_rest
+    from interarea.fmu_build.write.cache import default_cache
+    from interarea.models.case.write_toml import export_toml
+    from interarea.models.importers.file import import_grid as read_grid
+
     imported = read_grid(
         grid,
         dyr=dyr,
@@ -122,7 +130,7 @@ def _pairs(given: list[str]) -> dict[str, str]:
 
 
 def export(
-    case: Annotated[str, typer.Argument(metavar="CASE", help="bundled case or TOML file")],
+    case: CaseName,
     out: Annotated[
         Path,
         typer.Option(
@@ -184,26 +192,44 @@ def grid_of(name: str, dyr: Path | None = None) -> tuple[Case, list[str]] | None
     ------
     CaseError : a grid that cannot be read, or `dyr` for one that takes none.
     """
-    from interarea.models.case.case import load_case
-    from interarea.models.case.document import case_names
-    from interarea.models.errors import CaseError
-    from interarea.models.importers.file import import_grid as read_grid
-    from interarea.models.importers.published import PUBLISHED
-
-    if name in case_names() or _is_case_file(Path(name)):
-        if dyr is not None:
-            raise CaseError(f"--dyr {dyr}: goes with a RAW file, not with the case {name}")
-        return load_case(name), []
-    suffixes = {suffix.lower() for suffix in Path(name).suffixes}
-    if name not in PUBLISHED and not suffixes & {".raw", ".m"} and dyr is None:
+    if not names_grid(name, dyr):
         return None
+    if _is_case(name):
+        from interarea.models.case.case import load_case
+
+        return load_case(name), []
+    from interarea.models.importers.file import import_grid as read_grid
+
     imported = read_grid(name, dyr=dyr)
     return imported.case, imported.report.text().splitlines()
 
 
-def _is_case_file(path: Path) -> bool:
-    """Whether a TOML file holds a grid, or a change to one; other mistakes are for its own reader."""
-    return bool({"buses", "base"} & _keys_of(path))
+def names_grid(name: str, dyr: Path | None = None) -> bool:
+    """Whether a word of the command line means a grid, told before what reads one is loaded.
+
+    Raises
+    ------
+    CaseError : a grid file that is not there, or `dyr` for a grid that takes none.
+    """
+    from interarea.models.errors import CaseError
+    from interarea.models.importers.published import PUBLISHED, require_grid
+
+    if _is_case(name):
+        if dyr is not None:
+            raise CaseError(f"--dyr {dyr}: goes with a RAW file, not with the case {name}")
+        return True
+    suffixes = {suffix.lower() for suffix in Path(name).suffixes}
+    if name not in PUBLISHED and not suffixes & {".raw", ".rawx", ".m"} and dyr is None:
+        return False
+    require_grid(name)
+    return True
+
+
+def _is_case(name: str) -> bool:
+    """Whether a word is a bundled case or a TOML file with a grid; other mistakes are for its own reader."""
+    from interarea.models.case.document import case_names
+
+    return name in case_names() or bool({"buses", "base"} & _keys_of(Path(name)))
 
 
 def is_grid_study(path: Path) -> bool:

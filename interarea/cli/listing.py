@@ -10,10 +10,8 @@ from typing import Annotated
 
 import typer
 
-import interarea.cosim
-import interarea.design
-import interarea.models
-from interarea.models.files import read_text, toml_files
+from interarea.models.bundled import bundled
+from interarea.models.files import read_text
 
 from .terminal import print_table
 
@@ -24,7 +22,7 @@ def list_bundled(
     json_: Annotated[bool, typer.Option("--json", help="print JSON instead of a table")] = False,
 ) -> None:
     """List what is bundled: cases, scenarios, controllers, designs, studies, and what takes them."""
-    result = bundled()
+    result = titles()
     if json_:
         typer.echo(json.dumps(result, indent=2))
         return
@@ -59,26 +57,14 @@ DESIGNED = {
 }
 
 
-_PREFIX = re.compile("^(design|study|bank)_")
-
-
 def bundled_files() -> dict[str, dict[str, Path]]:
     """Return kind -> name -> file of all that is bundled; what is `DESIGNED` has none."""
-    models, design, cosim = (
-        Path(str(room.__file__)).parent for room in (interarea.models, interarea.design, interarea.cosim)
-    )
-    files = {
-        "scenarios": (cosim / "scenario" / "bundled").glob("*.toml"),
-        "controllers": (design / "controllers").glob("*.json"),
-        "designs": (cosim / "designs").glob("design_*.toml"),
-        "studies": (cosim / "study").rglob("study_*.toml"),
-    }
-    return {"cases": toml_files(models / "cases")} | {
-        kind: {_PREFIX.sub("", p.stem): p for p in sorted(paths)} for kind, paths in files.items()
-    }
+    kinds = {"cases": "case", "scenarios": "scenario", "controllers": "controller"}
+    kinds |= {"designs": "design", "studies": "study"}
+    return {plural: bundled(kind) for plural, kind in kinds.items()}
 
 
-def bundled() -> dict[str, dict[str, str]]:
+def titles() -> dict[str, dict[str, str]]:
     """Return kind -> name -> title of all that is bundled; of each file as little is read as that needs."""
     files = bundled_files()
     return {

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..command_usage import FROM_0_S
-from .modes import Below, CaseName, CircuitsOut, at_point, region_of
+from ..command_usage import FROM_0_S, CaseName
+from .modes import Below, CircuitsOut, at_point, region_of
 from .terminal import busy, print_table
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..command_usage import FROM_0_S
+from ..command_usage import FROM_0_S, CaseName, naming
 from .terminal import busy, print_table, two_numbers
 
 if TYPE_CHECKING:
@@ -22,9 +22,6 @@ if TYPE_CHECKING:
     from interarea.design.modes.sensitivity import Sensitivity
     from interarea.models.case.case import Case
 
-CaseName = Annotated[
-    str, typer.Argument(metavar="CASE", help="bundled case or TOML file", show_default=False)
-]
 CircuitsOut = Annotated[
     list[str] | None, typer.Option("--circuit-out", metavar="BRANCH", help="branch out of service")
 ]
@@ -71,7 +68,9 @@ def modes(
     below: Below = None,
     controller: Annotated[
         str | None,
-        typer.Option("--controller", metavar="NAME", help="modes with it; bundled name, JSON file or FMU"),
+        typer.Option(
+            "--controller", metavar="NAME", help="with it: name, file or FMU", callback=naming("controller")
+        ),
     ] = None,
     latency: Annotated[
         float,

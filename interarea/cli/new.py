@@ -13,6 +13,7 @@ import typer
 from interarea.models.errors import UserError, nearest
 from interarea.models.files import read_text, write_whole
 
+from ..command_usage import Dyr
 from .destination import file_for
 from .listing import DESIGNED, bundled_files
 from .terminal import FileAsJson, note, tell_file
@@ -37,9 +38,7 @@ def new(
     grid: Annotated[
         str, typer.Argument(metavar="GRID", help="of a study: the grid that it is of", show_default=False)
     ] = "",
-    dyr: Annotated[
-        Path | None, typer.Option("--dyr", metavar="FILE", help="PSS/E dynamic data of GRID")
-    ] = None,
+    dyr: Dyr = None,
     json_: FileAsJson = False,
 ) -> None:
     """Write a commented file to start from: scenario, case, device, controller, design, sweep, study, ...
@@ -69,16 +68,16 @@ def new(
 
 def _grid_study(kind: str, grid: str, dyr: Path | None, out: Path) -> str:
     """Return the file of the study of a grid, files named as seen from where it will be."""
-    from interarea.cosim.grid_study.choices import Choices, choices_text
-    from interarea.cosim.grid_study.study import defaults_of
-    from interarea.fmu_build.write.cache import default_cache
-
     from .grids import grid_of
     from .terminal import busy
 
     loaded = grid_of(grid, dyr) if kind == "study" else None
     if loaded is None:
         raise UserError(f"new {kind} {grid}: no grid, allowed: `new study` and a case, .raw or .m file")
+    from interarea.cosim.grid_study.choices import Choices, choices_text
+    from interarea.cosim.grid_study.study import defaults_of
+    from interarea.fmu_build.write.cache import default_cache
+
     with busy(f"modes of {loaded[0].name}"):
         defaults, lines = defaults_of(loaded[0], default_cache())
     named = {"grid": _seen_from(out, grid), "dyr": None if dyr is None else _seen_from(out, str(dyr))}
@@ -133,13 +132,12 @@ def device(
     json_: Annotated[bool, typer.Option("--json", help="print JSON instead of text")] = False,
 ) -> None:
     """Look at a device by itself: diagram, rest at an operating point, poles, step response."""
-    from interarea.models.devices.drawing import diagram_svg
-    from interarea.models.devices.response import missing, response_of
-    from interarea.models.files import write_whole
-
     if draw is not None and (file_for(draw, "--draw").suffix != ".svg"):
         raise UserError(f"--draw {draw}: the diagram is SVG, allowed: a name that ends in .svg")
     model = _model(file)
+    from interarea.models.devices.drawing import diagram_svg
+    from interarea.models.devices.response import missing, response_of
+
     parameters = _assigned("--set", given or [], "KA=200")
     point = _assigned("--at", at or [], "vt=1.02")
     lacking = missing(model, parameters)

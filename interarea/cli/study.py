@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ..command_usage import within
+from ..command_usage import Dyr, naming, within
 from .certificates.wrong_study import OPTIONS, Asked, study_wrong
 from .certificates.wrong_study import STUDY as WRONG_SIGNALS
 from .terminal import note, stage_progress
@@ -62,7 +62,7 @@ def study(
             help="bundled study or a study's TOML file; or a grid: case, .raw, .m, or one to download",
         ),
     ] = "thesis",
-    dyr: Annotated[Path | None, typer.Option("--dyr", metavar="FILE", help="PSS/E dynamic data")] = None,
+    dyr: Dyr = None,
     minutes: Minutes = None,
     second_solver: Annotated[
         bool, typer.Option(help="of a study: solve every LMI by cvxpy with Clarabel too, in a process beside")
@@ -88,7 +88,12 @@ def study(
     ] = None,
     controller: Annotated[
         list[str] | None,
-        typer.Option("--controller", metavar="NAME", help="of wrong-signals: a controller; again for more"),
+        typer.Option(
+            "--controller",
+            metavar="NAME",
+            help="of wrong-signals: a controller; again for more",
+            callback=naming("controller"),
+        ),
     ] = None,
     kind: Annotated[
         list[str] | None,
@@ -118,6 +123,8 @@ def study(
     The study `actuators` says of one grid which kind of actuator damps it best: actuators.html.
     The study `wrong-signals` runs controllers with each kind of wrong signal: wrong_signals.html.
     """
+    from interarea.cosim.scenario.named import study_file
+
     from .destination import folder_for
     from .grids import grid_of
 
@@ -140,11 +147,13 @@ def study(
     if (loaded := grid_of(choices.grid, grid_dyr)) is not None:
         _study_grid(name, choices, *loaded, out, json_=json_)
         return
+    study_file(name)  # before what takes seconds to load
     _run_study(name, out, second_solver=second_solver, json_=json_)
 
 
 def _study_several(name: str, out: Path, minutes: float | None, grids: list[str], *, json_: bool) -> None:
     """Run the study `worth` or `inverters` of named grids."""
+    _require_grids(grids)
     from interarea.cosim.grid_study import link_study
     from interarea.cosim.inverter_study import study as inverter_study
     from interarea.fmu_build.write.cache import default_cache
@@ -154,7 +163,7 @@ def _study_several(name: str, out: Path, minutes: float | None, grids: list[str]
     of = link_study if name == "worth" else inverter_study
     run = link_study.study_links if name == "worth" else inverter_study.study_inverters
     folder_for(out, files=of.FILES)
-    cases = {grid: _named_grid(grid) for grid in grids or of.GRIDS}
+    cases = _named_grids(grids or of.GRIDS)
     minutes = minutes or of.MINUTES
     named = "".join(f" --grid {grid}" for grid in grids)
     command = f"interarea study {name}{named} --out {out} --minutes {minutes:g}"
@@ -178,6 +187,11 @@ def _study_actuators(
     *,
     json_: bool,
 ) -> None:
+    from interarea.models.errors import UserError
+
+    if len(grids) > 1:
+        raise UserError(f"--grid {grids[1]}: the study actuators takes one grid; leave it out")
+    _require_grids(grids)
     from interarea.cosim.actuator_study.study import (
         FILES,
         GRID,
@@ -187,16 +201,13 @@ def _study_actuators(
         study_actuators,
     )
     from interarea.fmu_build.write.cache import default_cache
-    from interarea.models.errors import UserError
 
     from .destination import folder_for
 
-    if len(grids) > 1:
-        raise UserError(f"--grid {grids[1]}: the study actuators takes one grid; leave it out")
     chosen = kinds_of(kinds)
     folder_for(out, files=FILES)
     name = grids[0] if grids else GRID
-    case = _named_grid(name)
+    case = _named_grids([name])[name]
     minutes = minutes or MINUTES
     options = [f"--grid {name}" for name in grids] + [f"--actuator {kind}" for kind in kinds]
     options += [] if mva is None else [f"--mva {mva:g}"]
@@ -242,18 +253,24 @@ def _check_options(study: str, given: Iterable[tuple[str, str]]) -> None:
             raise UserError(f"{typed}: not with the study {study}; {refused[study]}")
 
 
-def _named_grid(name: str) -> Case:
-    """Return the case that an option --grid means."""
+def _named_grids(names: Iterable[str]) -> dict[str, Case]:
+    """Return the cases that options --grid mean, by these words."""
+    from .grids import grid_of
+
+    return {name: loaded[0] for name in names if (loaded := grid_of(name)) is not None}
+
+
+def _require_grids(names: Iterable[str]) -> None:
+    """Require that each option --grid means a grid, before what studies them is loaded."""
     from interarea.models.case.document import case_names
     from interarea.models.errors import UserError
 
-    from .grids import grid_of
+    from .grids import names_grid
 
-    if (loaded := grid_of(name)) is None:
-        raise UserError(
-            f"--grid {name}: no grid, allowed: a case file, .raw, .m, or one of {', '.join(case_names())}"
-        )
-    return loaded[0]
+    for name in names:
+        if not names_grid(name):
+            allowed = f"a case file, .raw, .rawx, .m, or one of {', '.join(case_names())}"
+            raise UserError(f"--grid {name}: no grid, allowed: {allowed}")
 
 
 def _show_study(

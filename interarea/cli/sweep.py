@@ -18,7 +18,7 @@ from interarea.models.bundled import bundled_elsewhere
 from interarea.models.documents import require_regular
 from interarea.progress import tell_runs
 
-from ..command_usage import ABOVE_0_S, within
+from ..command_usage import ABOVE_0_S, naming, within
 from .study import OutFolder
 from .terminal import busy, stage_progress
 
@@ -64,11 +64,15 @@ def sweep(
     if not spec.exists() and (other := bundled_elsewhere(str(spec), "sweep")) is not None:
         raise SweepError(f"{spec} {other}")
     require_regular(spec, "a sweep file", SweepError)  # before what takes seconds to load
+    from interarea.cosim.sweep.spec import load_sweep
+
+    loaded = load_sweep(spec)
+    _require_regular_plan(out)
     from interarea.cosim.sweep.front import run_sweep
 
     with sweeping(out) as show:
         summary = run_sweep(
-            spec,
+            loaded,
             out,
             workers=workers,
             scheduler=scheduler,
@@ -85,6 +89,13 @@ def sweep(
         typer.echo(out)
     if not summary["ok"]:
         raise typer.Exit(1)
+
+
+def _require_regular_plan(folder: Path) -> None:
+    """Refuse folders and devices in the places of the files that say of what sweep the results are."""
+    for file in (folder / "manifest.json", folder / "sweep.json"):
+        if file.exists():
+            require_regular(file, "a file of a sweep's results", SweepError)
 
 
 def _tell(summary: Mapping[str, Any]) -> None:
@@ -133,8 +144,6 @@ def maps(
     json_: Annotated[bool, typer.Option("--json", help="print JSON instead of the page's name")] = False,
 ) -> None:
     """Draw the maps of a sweep: stability, margins certified and simulated, worst runs; one page."""
-    from interarea.cosim.maps.page import STEPS, explorer_beside, write_maps
-
     from .destination import file_for
 
     if folder.exists() and not folder.is_dir():
@@ -142,6 +151,9 @@ def maps(
     if not folder.exists():
         raise SweepError(f"{folder}: no such folder, wanted: that of a sweep's results (its --out)")
     page = file_for(out or folder / "maps.html", suffix=".html")
+    _require_regular_plan(folder)
+    from interarea.cosim.maps.page import STEPS, explorer_beside, write_maps
+
     file_for(explorer_beside(page))
     with stage_progress(STEPS) as report:
         page = write_maps(folder, page, worst=worst, workers=workers, progress=report)
@@ -155,7 +167,13 @@ def maps(
 
 def screen(
     grid: Annotated[
-        str, typer.Argument(metavar="GRID", help="case: bundled name or file", show_default=False)
+        str,
+        typer.Argument(
+            metavar="GRID",
+            help="case: bundled name or file",
+            show_default=False,
+            callback=naming("case"),
+        ),
     ],
     out: OutFolder,
     trips: Annotated[bool, typer.Option("--trips", help="open each branch in place of faults")] = False,
@@ -172,7 +190,12 @@ def screen(
     ] = None,
     controller: Annotated[
         list[str] | None,
-        typer.Option("--controller", metavar="NAME", help="beside none; may be repeated"),
+        typer.Option(
+            "--controller",
+            metavar="NAME",
+            help="beside none; may be repeated",
+            callback=naming("controller"),
+        ),
     ] = None,
     clearing: Annotated[
         str, typer.Option("--clearing", metavar="TIME", help='of a fault: "6 cycles" or "0.1 s"')

@@ -11,7 +11,7 @@ from types import SimpleNamespace
 from typing import Any, get_args
 
 from ..bundled import bundled_elsewhere
-from ..documents import DocumentError, other_kind, parse_toml, read_document
+from ..documents import DocumentError, other_kind, parse_toml, read_document, require_regular
 from ..errors import CaseError, nearest, reason
 from ..files import read_text, toml_files
 
@@ -166,15 +166,31 @@ def case_document(
 
 
 def _text(name_or_path: str | Path, beside: Path | None) -> tuple[str, str, Path | None]:
+    name, path = str(name_or_path), case_file(name_or_path, beside)
+    if not name.endswith(".toml"):
+        return read_text(path), name, None
+    try:
+        return read_document(path, "a case file").decode("utf-8"), str(path), path.parent
+    except DocumentError as error:
+        raise CaseError(str(error)) from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise CaseError(f"{path}: the case file cannot be read: {reason(error)}") from None
+
+
+def case_file(name_or_path: str | Path, beside: Path | None = None) -> Path:
+    """Return the file of a bundled case, or the one that a name ending in .toml means; nothing is read.
+
+    beside : folder in which the name of a file is looked for.
+
+    Raises
+    ------
+    CaseError : unknown name, with the nearest ones, or no regular file.
+    """
     name = str(name_or_path)
     if name.endswith(".toml"):
         path = Path(name) if beside is None else beside / name
-        try:
-            return read_document(path, "a case file").decode("utf-8"), str(path), path.parent
-        except DocumentError as error:
-            raise CaseError(str(error)) from None
-        except (OSError, UnicodeDecodeError) as error:
-            raise CaseError(f"{path}: the case file cannot be read: {reason(error)}") from None
+        require_regular(path, "a case file", CaseError)
+        return path
     known = case_names()
     if name not in known:
         if (other := bundled_elsewhere(name, "case")) is not None:
@@ -183,7 +199,7 @@ def _text(name_or_path: str | Path, beside: Path | None) -> tuple[str, str, Path
         there = Path(name).exists()
         what = f"{name}: is no .toml file, so no case" if there else f"case {name!r} does not exist"
         raise CaseError(f"{what}; {nearest(name, known)} {hint}")
-    return read_text(toml_files(BUNDLED)[name]), name, None
+    return toml_files(BUNDLED)[name]
 
 
 def with_device_texts(table: Mapping[str, Any], folder: Path, where: str) -> dict[str, Any]:

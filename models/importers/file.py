@@ -19,9 +19,8 @@ from ..grid.start import start_of
 from .imported import Imported
 from .matpower import import_matpower
 from .psse import import_psse
-from .published import PUBLISHED, published
+from .published import FORMATS, PUBLISHED, published, require_grid
 
-FORMATS = ".raw (PSS/E version 23 to 36), .rawx or .m (MATPOWER), plain, .gz, .xz or .bz2"
 _PACKED = (".gz", ".xz", ".bz2")
 
 
@@ -71,9 +70,7 @@ def import_grid(
         how |= {"converters": converters, "release_limits": release_limits, "replace_models": replace_models}
         how |= models | {"dc_lines": dc_lines}
         return _import_published(str(grid), dyr, how)
-    if not file.is_file():
-        what = "is a folder" if file.is_dir() else "is no regular file" if file.exists() else "no such file"
-        raise CaseError(f"{file}: {what}, allowed: {FORMATS}, or {', '.join(PUBLISHED)}")
+    require_grid(str(grid))
     suffix = (Path(file.stem) if file.suffix.lower() in _PACKED else file).suffix.lower()
     if suffix == ".m":
         if dyr is not None:

@@ -12,10 +12,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from ..documents import require_regular
 from ..errors import CaseError
 from ..files import temporary_folder
 from ..processes import run_guarded
 
+FORMATS = ".raw (PSS/E version 23 to 36), .rawx or .m (MATPOWER), plain, .gz, .xz or .bz2"
 _WAIT_S = 300
 
 
@@ -57,6 +59,17 @@ PUBLISHED = {
         ("nordic-44", "Nordic 44, 80 machines", "nordic44/N44_BC.raw", "nordic44/N44_BC.dyr"),
     )
 }
+
+
+def require_grid(grid: str) -> None:
+    """Require that a word is a name in `PUBLISHED` or a file, which is not read.
+
+    Raises
+    ------
+    CaseError : neither, a folder, or no regular file.
+    """
+    if grid not in PUBLISHED:
+        require_regular(Path(grid), f"{FORMATS}; or {', '.join(PUBLISHED)}", CaseError)
 
 
 @contextmanager

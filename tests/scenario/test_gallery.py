@@ -7,7 +7,8 @@ from typing import Any
 import pytest
 from scenario_loop import Loop
 
-from interarea.cosim.scenario.scenario import load_scenario, scenario_names
+from interarea.cosim.scenario.scenario import load_scenario
+from interarea.models.bundled import bundled
 
 DESIGNED = ("wdc", "cc", "ftc")
 
@@ -17,7 +18,7 @@ def _case(name: str) -> Any:
     return pytest.param(name, marks=marks)
 
 
-@pytest.mark.parametrize("name", [_case(n) for n in scenario_names()])
+@pytest.mark.parametrize("name", [_case(n) for n in bundled("scenario")])
 def test_the_outcome_is_the_stated_one(name: str, scenario: Any) -> None:
     run = scenario(name)
     expect = run.scenario.expect
@@ -38,7 +39,7 @@ def test_the_outcome_is_the_stated_one(name: str, scenario: Any) -> None:
         assert expect.peak_pu[0] <= run.metrics.peak_pu <= expect.peak_pu[1]
 
 
-@pytest.mark.parametrize("name", [_case(n) for n in scenario_names()])
+@pytest.mark.parametrize("name", [_case(n) for n in bundled("scenario")])
 def test_every_connection_has_the_latency_that_the_ledger_states(name: str) -> None:
     with Loop(load_scenario(name)) as loop:
         measured = loop.self_test()

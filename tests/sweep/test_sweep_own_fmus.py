@@ -63,6 +63,17 @@ def test_the_file_goes_into_the_plan_by_its_content(own: Any, cache: Path, tmp_p
         plan_sweep(load_sweep(table), cache)
 
 
+@pytest.mark.parametrize("isolate", [False, True])
+def test_a_connection_to_no_variable_of_it_is_refused_before_any_run(
+    own: Any, cache: Path, tmp_path: Path, isolate: bool
+) -> None:
+    table = own(isolate=isolate)
+    table["scenario"]["connections"] = [["plant.G1_dw", "mine.uu"]]
+    with pytest.raises(SweepError, match="no run can be made: mine has no input 'uu'; did you mean 'u'"):
+        run_sweep(table, tmp_path / "out", workers=1, cache=cache)
+    assert not (tmp_path / "out").exists()
+
+
 @pytest.mark.slow
 def test_worker_processes_give_the_same_rows_whether_isolated_or_not(
     own: Any, cache: Path, tmp_path: Path

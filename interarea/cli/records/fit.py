@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ...command_usage import ABOVE_0_S
+from ...command_usage import ABOVE_0_S, naming
 from ..terminal import busy, note, print_table
 from .options import RecordFile, Units, Window, opened
 
@@ -18,7 +18,13 @@ if TYPE_CHECKING:
 def fit(
     file: RecordFile,
     case: Annotated[
-        str, typer.Option("--case", metavar="CASE", help="bundled case or TOML file with the machine")
+        str,
+        typer.Option(
+            "--case",
+            metavar="CASE",
+            help="bundled case or TOML file with the machine",
+            callback=naming("case"),
+        ),
     ],
     machine: Annotated[
         str, typer.Option("--machine", metavar="NAME", help="machine of the case that was recorded")
@@ -41,11 +47,12 @@ def fit(
 ) -> None:
     """Play a record into a machine alone with its controls; fit parameters; say what it does not show."""
     from interarea.models.case.case import load_case
-    from interarea.records import fit as fitted
 
     grid = load_case(case)
     record = opened(file, window, unit, grid.frequency_hz)
     keys = [key.strip() for key in parameters.split(",")] if parameters else []
+    from interarea.records import fit as fitted
+
     with busy(f"{machine} beside {file.name}"):
         result = fitted(record, grid, machine, keys, rest_s=rest)
     for line in result.notes[len(record.notes) :]:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
+from ...command_usage import naming
 from ..terminal import busy, note, print_table
 from .options import Band, CaseName, RecordFile, Units, Window, band_of, case_named, opened
 
@@ -39,6 +40,7 @@ def meter(
             "--beside",
             metavar="FILE",
             help="the record without the controller that FILE has: what damping it brought",
+            callback=naming("record"),
         ),
     ] = None,
     window: Window = None,
@@ -46,13 +48,13 @@ def meter(
     json_: Annotated[bool, typer.Option("--json", help="print JSON instead of a table")] = False,
 ) -> None:
     """Meter a record: what swings, how damped by two methods, forced or modal, which mode of a case."""
-    from interarea.records import meter as metered
-
     region = band_of(band)
     grid = case_named(case)
     frequency_hz = grid.frequency_hz if grid else 60.0
     record = opened(file, window, unit, frequency_hz)
     other = None if beside is None else opened(beside, None, unit, frequency_hz)
+    from interarea.records import meter as metered
+
     with busy(f"metering {file.name}"):
         result = metered(
             record, grid, beside=other, band_hz=region, quantity=quantity, channels=channel or ()

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ...command_usage import naming
 from ..terminal import note, two_numbers
 
 if TYPE_CHECKING:
@@ -19,10 +20,17 @@ RecordFile = Annotated[
         metavar="FILE",
         help="PMU csv, COMTRADE (.cfg, .cff), channels of PSS/E as csv, trajectory.csv or .parquet of a run",
         show_default=False,
+        callback=naming("record"),
     ),
 ]
 CaseName = Annotated[
-    str | None, typer.Option("--case", metavar="CASE", help="bundled case or TOML file of the same grid")
+    str | None,
+    typer.Option(
+        "--case",
+        metavar="CASE",
+        help="bundled case or TOML file of the same grid",
+        callback=naming("case"),
+    ),
 ]
 Band = Annotated[
     str | None, typer.Option("--band", metavar="LOW:HIGH", help="frequencies looked at, Hz; 0.1:2.5")
@@ -65,8 +73,7 @@ def case_named(name: str | None) -> Case | None:
 
 def band_of(text: str | None) -> tuple[float, float]:
     """Return the frequencies (Hz) of `--band`, or those looked at without it."""
-    from interarea.cosim.records.record import RecordError
-    from interarea.cosim.records.signals import BAND_HZ
+    from interarea.cosim.records.record import BAND_HZ, RecordError
 
     band = BAND_HZ if text is None else _numbers(text, "--band", "LOW:HIGH in Hz, such as 0.1:2.5")
     if not band[0] >= 0.0:

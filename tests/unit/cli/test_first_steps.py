@@ -22,11 +22,11 @@ from interarea.cosim.run.artefacts import channel_fmu
 from interarea.cosim.run.run import run_scenario
 from interarea.cosim.run.system import System
 from interarea.cosim.scenario.names import NAMED_CONTROLLERS
-from interarea.cosim.scenario.scenario import scenario_names
 from interarea.cosim.study.report import _number, _percent
 from interarea.cosim.sweep.parts import read_rows
 from interarea.fmu_build.open.fmu_file import FmuFile
 from interarea.fmu_build.write.cache import default_cache
+from interarea.models.bundled import bundled
 from interarea.models.case.case import case_names, load_case
 
 SWEEP = """
@@ -251,7 +251,8 @@ def test_everything_listed_is_taken_by_its_command(interarea) -> None:  # type: 
     code, out, _ = interarea("list", "--json")
     document = json.loads(out)
     assert code == 0 and all(document.values())
-    assert set(document["cases"]) == set(case_names()) and set(document["scenarios"]) == set(scenario_names())
+    assert set(document["cases"]) == set(case_names())
+    assert set(document["scenarios"]) == set(bundled("scenario"))
     assert set(document["controllers"]) == set(NAMED_CONTROLLERS) - {"none"}
     for name in document["designs"]:
         assert load_design(name).name == name

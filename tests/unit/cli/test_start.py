@@ -76,6 +76,33 @@ def test_nothing_heavy_is_loaded_for(arguments: tuple[str, ...]) -> None:
     assert not HEAVY & modules
 
 
+#: command whose name or file there is not; what would read it takes up to 4 s to load
+WRONG = [
+    *("study thesiss --out x", "study nets-nyp --out x", "study x.toml --out x", "study x.raw --out x"),
+    *("study worth --grid x.raw --out x", "study actuators --grid nets-nyp --out x"),
+    *("new study x.raw --out x.toml", "run wide_are", "run x.toml", "build two-area-thesi --out x"),
+    *("build two-area-thesis --controller robus --out x", "design robus --out x.json"),
+    *("design x.toml --out x.json", "certify robus", "certify x.fmu", "certify robust --case two-area-thesi"),
+    *("certify robust --spec robus", "modes two-area-thesi", "modes two-area-thesis --controller robus"),
+    *("loops x.toml", "screen two-area-thesi --out x", "screen two-area-thesis --controller robus --out x"),
+    *("compare none robus", "compare none robust --scenario wide_are", "explore two-area-thesi --out x.html"),
+    *("locate x.csv", "meter x.parquet", "fit x.csv --case two-area-thesis --machine G1"),
+    *("sweep x.toml --out x", "maps x", "ssp wide_are --out x.ssp", "container x.toml --out x.fmu"),
+    *("check x.fmu", "import x.raw --out x.toml", "export two-area-thesi --out x.raw", "device x.toml"),
+]
+
+
+@pytest.mark.parametrize("command", WRONG)
+def test_a_wrong_name_is_refused_before_what_would_read_it_is_loaded(
+    command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    done, modules = _loaded(*command.split())
+    assert done.returncode == 2, done.stderr
+    assert not {"scipy", "pandas", "control", "matplotlib", "cvxpy"} & modules
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.slow
 def test_numpy_and_scipy_calculate_in_one_thread_unless_more_are_asked_for() -> None:
     code = (

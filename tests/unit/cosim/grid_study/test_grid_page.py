@@ -111,9 +111,11 @@ def test_loops_stand_on_the_page_before_the_first_design(
 
 
 def test_dynamic_data_beside_a_case_is_a_mistake(interarea: Any, tmp_path: Path) -> None:
-    code, _, err = interarea("study", "new-england", "--dyr", "a.dyr", "--out", tmp_path / "out")
+    dyr = tmp_path / "a.dyr"
+    dyr.touch()
+    code, _, err = interarea("study", "new-england", "--dyr", dyr, "--out", tmp_path / "out")
     assert code == 2
-    assert "--dyr a.dyr: goes with a RAW file, not with the case new-england" in err
+    assert f"--dyr {dyr}: goes with a RAW file, not with the case new-england" in err
 
 
 @pytest.mark.slow

@@ -174,6 +174,8 @@ def test_a_grid_without_a_weak_mode_has_its_reason(tmp_path: Path, monkeypatch: 
 def test_bad_input_is_refused_in_a_line(
     words: list[str], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("a.dyr").touch()
     code, _, err = invoke(["study", *words, "--out", str(tmp_path / "out")], monkeypatch)
     assert code == 2 and said in err and len(err.splitlines()) == 1, err
     assert not (tmp_path / "out").exists()

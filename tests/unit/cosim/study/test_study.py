@@ -28,7 +28,7 @@ from interarea.cosim.study.methods import order_rows
 from interarea.cosim.study.packet_loss import monte_carlo_documents
 from interarea.cosim.study.rows import mode_errors, modes_without_stabilizers, sensitivity_row
 from interarea.cosim.study.runs import run_folders, scenario_documents
-from interarea.cosim.study.spec import SPECIFICATIONS, design_specs, load_study, study_names
+from interarea.cosim.study.spec import SPECIFICATIONS, design_specs, load_study
 from interarea.cosim.study.study import STAGES, run_study
 from interarea.design.certificates import closed_loop as certificates
 from interarea.design.certificates.closed_loop import swing_poles
@@ -37,6 +37,7 @@ from interarea.design.linear.linearise import remove_reference, select, speeds_i
 from interarea.design.linear.norms import response
 from interarea.design.modes.modes import Modes, modes_of
 from interarea.design.synthesis.study_designs import WdcSpec
+from interarea.models.bundled import bundled
 from interarea.models.case.case import Case
 
 
@@ -84,7 +85,7 @@ def test_runs_beside_the_margin_lie_on_either_side_of_it() -> None:
 
 
 def test_unknown_and_incomplete_studies_are_refused(tmp_path: Path) -> None:
-    assert study_names() == ["thesis"]
+    assert list(bundled("study")) == ["thesis"]
     with pytest.raises(ScenarioError, match=r"thesis"):
         load_study("thesys")
     short = tmp_path / "short.toml"
