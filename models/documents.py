@@ -58,8 +58,13 @@ def read_document(path: Path, wanted: str) -> bytes:
     return content
 
 
-def require_regular(path: Path, wanted: str, error: type[UserError] = DocumentError) -> None:
-    """Raise `error`, which names the file, unless `path` is a regular file or a link to one."""
+def require_regular(
+    path: Path, wanted: str, error: type[UserError] = DocumentError, *, key: str = ""
+) -> None:
+    """Raise `error`, which names the file, unless `path` is a regular file or a link to one.
+
+    key : of the table that names the file.
+    """
     if path.is_file():
         return
     if path.is_dir():
@@ -68,7 +73,8 @@ def require_regular(path: Path, wanted: str, error: type[UserError] = DocumentEr
         what = "is no regular file"
     else:
         what = "no such file"
-    raise error(f"{path}: {what}, wanted: {wanted}")
+    named = f"{key} = {str(path)!r}" if key else f"{path}:"
+    raise error(f"{named} {what}, wanted: {wanted}")
 
 
 def parse_toml(content: bytes | str) -> dict[str, Any]:

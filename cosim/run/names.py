@@ -6,13 +6,14 @@ from pathlib import Path
 from typing import Any
 
 from interarea.design.controllers.bundled import FOLDER, shipped_names
-from interarea.fmu_build.open.ports import DLL_SUFFIXES
 from interarea.models.documents import parse_json, require_regular
 from interarea.models.errors import Collected
 
 from ..errors import ScenarioError
 from ..scenario.names import grid_of, no_controller, two_machines, wrong_targets
 from ..scenario.scenario import Scenario
+
+_WANTED = {"case": "a case file", "controller": "a JSON file, an FMU or an IEEE/CIGRE DLL"}
 
 
 def refuse_wrong_names(scenario: Scenario) -> None:
@@ -45,12 +46,11 @@ def refuse_wrong_names(scenario: Scenario) -> None:
 
 def _require_regular_files(scenario: Scenario) -> None:
     """Raise ScenarioError where a case, controller or FMU that is named is a folder, a device or a pipe."""
-    fmus = [scenario.folder / table.file for table in scenario.fmus.values()]
-    for path in (scenario.case_path, scenario.controller_path, *fmus):
+    named = {"case": scenario.case_path, "controller": scenario.controller_path}
+    named |= {f"fmus.{name}.file": scenario.folder / table.file for name, table in scenario.fmus.items()}
+    for key, path in named.items():
         if isinstance(path, Path) and path.exists():
-            dll = "an IEEE/CIGRE DLL" if path.suffix in DLL_SUFFIXES else "an FMU"
-            wanted = {".toml": "a case file", ".json": "a controller file"}.get(path.suffix, dll)
-            require_regular(path, wanted, ScenarioError)
+            require_regular(path, _WANTED.get(key, "an FMU"), ScenarioError, key=key)
 
 
 def _checked_without_fmus(scenario: Scenario, case: Any, missing: bool) -> bool:
