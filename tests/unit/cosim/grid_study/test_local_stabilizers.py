@@ -96,6 +96,9 @@ def test_the_sentence_says_which_to_build() -> None:
     good, also = _judged("wide", 0.2, 0.05), _judged("local", 0.11, 0.05)
     assert which_to_build(good, also, asked).startswith("local stabilizers are enough, no link")
     assert which_to_build(good, also, asked).endswith("the wide-area loop would add +0.090 inter-area")
+    assert which_to_build(_judged("wide", 0.05, 0.05), also, asked).endswith(
+        "the wide-area loop by itself reaches 0.060 less inter-area"
+    )
     # good eigenvalues and a lost fault are no stabilizer to build
     loses = _judged("local", 0.3, 0.05, "base, fault at bus 7: synchronism lost, kept without it")
     assert which_to_build(good, loses, asked).startswith("build the wide-area loop: the wide-area loop inter")
