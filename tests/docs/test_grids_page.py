@@ -15,13 +15,16 @@ PAGE = Path(__file__).resolve().parents[2] / "docs" / "grids.md"
 
 
 @pytest.mark.slow
-def test_the_modes_of_the_bundled_grid_are_those_of_the_page(monkeypatch: pytest.MonkeyPatch) -> None:
-    text = PAGE.read_text(encoding="utf-8").partition("## wecc-240")[2].partition("\n## ")[0]
+@pytest.mark.parametrize(("grid", "modes"), [("wecc-240", 7), ("mini-wecc", 8)])
+def test_the_modes_of_a_bundled_grid_are_those_of_the_page(
+    grid: str, modes: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = PAGE.read_text(encoding="utf-8").partition(f"## {grid}\n")[2].partition("\n## ")[0]
     rows = re.findall(r"^\| (\S.* \d.*?) \| (\S+) \| (\S+) \| (\S+) \|$", text, re.MULTILINE)
-    words = ["modes", "wecc-240", "--band", "0.1:0.9", "--below", "0.2", "--json"]
+    words = ["modes", grid, "--band", "0.1:0.9", "--below", "0.2", "--json"]
     code, out, _ = invoke(words, monkeypatch)
     document = json.loads(out)
-    assert code == 0 and document["counted"] == len(rows) == len(document["modes"]) == 7
+    assert code == 0 and document["counted"] == len(rows) == len(document["modes"]) == modes
     for (name, hertz, ratio, machine), mode in zip(rows, document["modes"], strict=True):
         assert (name, hertz) == (mode["name"], f"{mode['frequency_hz']:.4f}")
         assert ratio == f"{mode['damping_ratio']:.4f}"
