@@ -128,7 +128,9 @@ class ExpressionWriter:
         if node.op in ("==", "!="):
             same = f"(num_reaches({a}, {b}) & num_reaches({b}, {a}))"
             return same if node.op == "==" else f"flag_not{same}"
-        call = self.deciding("reaches" if "=" in node.op else "above", 1)
+        name = "reaches" if "=" in node.op else "above"
+        fixed = set(node.names) <= {*self.given} - {"pref"}  # at rest, for good: nothing to watch
+        call = f"num_{name}(" if fixed else self.deciding(name, 1)
         return f"{call}{a}, {b})" if ">" in node.op else f"{call}{b}, {a})"
 
     def table(self, node: Node) -> str:

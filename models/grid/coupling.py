@@ -163,7 +163,7 @@ def coupling_of(instance: Instance) -> Coupling:
     if device.kind == "source":
         return Coupling(state, 1.0, 0.0, states[1], values=instance.values)
     if len(states) > 1:
-        seen = {name for line in device.lines for name in line.node.names}
+        seen = frozenset[str]().union(*instance.depends_on()[0].values())
         return Coupling(state, 1.0, 0.0, states[1], *_port_numbers(instance), bool({"vr", "vi"} & seen))
     if state == device.output:
         return Coupling(state, 1.0, 0.0)

@@ -37,6 +37,8 @@ def positive(device: Device, node: Node) -> Condition:
     """Return the condition `node` > 0, decided where the ranges decide it."""
     if device.always_positive(node):
         return True
+    if node.op == "pick" and device.always_positive(node.args[1]) and node.args[2] == ZERO:
+        return node.args[0]  # the choice itself: one bit in place of two
     return False if node.op == "number" else Node(">", (node, ZERO))
 
 
