@@ -350,7 +350,7 @@ def _group_arrays(
     return {
         "group.device": _int(numbers[group.key] for group, _ in groups),
         "group.count": _int(len(group.devices) for group, _ in groups),
-        "group.has": _int(group.has for group, _ in groups),
+        "group.has": np.array([float(group.has) for group, _ in groups]),
         "group.state": _int(first + place for _, place in groups),
         "device.machine": _int(d.place for group, _ in groups for d in group.devices),
         "device.table": np.concatenate(provided) if provided else np.zeros(0),

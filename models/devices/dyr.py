@@ -114,7 +114,8 @@ def _values(record: DyrRecord, row: DyrModel) -> dict[str, float]:
             named = f" ({name[2:]})" if name[1:] else ""
             raise DeviceError(
                 f"{what}{named} = {value:g}, allowed: 0 (what it asks for is not modelled; "
-                f"--replace {record.model}=MODEL reads it as another)"
+                f"--leave-out {record.model} goes on without it, --replace {record.model}=MODEL reads it as "
+                "another)"
             )
     return values
 

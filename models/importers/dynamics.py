@@ -6,7 +6,7 @@ GENROU, GENROE  -> round_rotor; X''q = X''d, Ra from the RAW file; saturation of
 GENSAL, GENSAE  -> round_rotor without Tq01: one winding on the q axis;
                    saturation of E'q on the d axis, GENSAE: of the subtransient flux on both axes.
 GENCLS          -> classical behind ZR + jZX of the RAW file; with H = 0 an infinite bus there.
-REGFMA1         -> a converter's voltage behind ZR + jZX of the RAW file.
+REGFMA1, GDFORM -> a converter's voltage behind ZR + jZX of the RAW file.
 controls        -> devices of the package, by their `[dyr]` tables (models/devices).
 """
 
@@ -21,7 +21,7 @@ from typing import Any
 from ..devices.dyr import device_for_dyr, dyr_models, own_records
 from ..devices.language.device import OF_CONVERTER
 from ..devices.language.structure import Model
-from ..devices.library import NONE
+from ..devices.library import NONE, library
 from ..errors import CaseError, nearest
 from .dyr import KNOWN, DyrFile, DyrRecord, read_dyr
 from .load_records import MODELS as LOADS
@@ -45,23 +45,18 @@ _CURRENTS = "; --converters current takes converters as constant currents"
 #: why these are not modelled
 _LOAD = "a load of many motors and electronics, which LOAD of the RAW stands for"
 _WIND = "the drive train of a wind plant, which acts through PFLAG and Pref of its electrical control"
-_OVER = (
-    "an over-excitation limiter, which lowers the exciter's reference seconds after the field went above its "
-    "rating; left out, nothing takes such a field back, and modes at rest stay the same"
-)
-_UNDER = (
-    "an under-excitation limiter, which raises the exciter's reference where a machine takes too much Q; "
-    "left out, nothing stops that"
-)
+_OVER = "an over-excitation limiter; left out, nothing takes a field above its rating back, seconds later"
+_UNDER = "an under-excitation limiter; left out, nothing stops a machine that takes too much Q"
 _WHY = {
-    "PSSSIM": "a stabilizer of GridPACK, fed by the frequencies of other buses, which no vendor describes",
     **dict.fromkeys(("CMLDBLU1", "CMLDBLU2", "ACMTBLU1", "CIM5BL", "CIM6BL", "CLODBL"), _LOAD),
     **dict.fromkeys(("WTDTA1", "WTARA1", "WTPTA1", "WTTQA1"), _WIND),
     **dict.fromkeys(("MAXEX1", "MAXEX2", "OEL1B"), _OVER),
     **dict.fromkeys(("MNLEX1", "MNLEX2", "UEL1", "UEL2"), _UNDER),
-    "GDFORM": "GridPACK's record of a grid-forming converter with droop; REGFMA1 is the published one",
     "REGCC1": "a converter with an inner current loop and a phase-locked loop",
 }
+
+#: assumed of records that one other program has
+_ASSUMED = {"GDFORM": "GridPACK's GDFORM taken as REGFMA1: E late by 5 ms where it is not integrated"}
 
 #: models that only trip or measure
 RELAYS = frozenset(
@@ -369,6 +364,8 @@ def _device(
     result = device_for_dyr(record, own.values())
     for name in result.unused:
         report.assume(f"{name} of {record.model} is not 0, and is not used", record.where)
+    if record.model in _ASSUMED and result.model.device.key in library():
+        report.assume(_ASSUMED[record.model], record.where)
     device = result.model.device
     return device.kind, {"kind": device.key} | dict(result.parameters)
 

@@ -12,7 +12,7 @@ from .element import Condition, Element, On, State, conditions_in, names_passed
 from .elements import element_of
 from .expression import Node, evaluate
 
-MOST_BITS, MOST_ORDERS = 31, 64
+MOST_BITS, MOST_ORDERS = 52, 64  # bits of a whole number that a double holds
 
 
 @dataclass(frozen=True)

@@ -306,7 +306,7 @@ static void run_groups(const real *memory, const Plan *plan, const Work *w, size
         const Notes of = notes_of(&w->notes, machine - plan->device_machine, state);
         const Notes notes = notes_each(of, memory, plan, k);
         const DeviceGroup group = { memory + index_at(row, G_TABLE), memory + machine, index_at(row, G_COUNT),
-                                    (uint64_t)index_at(row, G_HAS), notes };
+                                    (uint64_t)first_at(row, G_HAS), notes };
         TILED_DEVICES(device_run, w->lanes, group.n, index_at(row, G_DEVICE), &group, signals, x + state, dx + state);
     }
 }

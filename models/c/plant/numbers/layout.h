@@ -32,6 +32,7 @@ enum {  /* group of devices of one kind and structure (devices.h)     */
     G_TABLE, G_MACHINE, /* where in memory: its table, its machines     */
     G_ROWS
 };
+#define MOST_HAS 4503599627370496.0 /* 2^52: a double holds every whole number below */
 enum {  /* what devices see at the operating point, for each place      */
     R_VT, R_VD, R_VQ, R_ID, R_IQ, R_PE, R_IFD, R_VC, R_VS, R_PM, R_EFD, R_OUT, R_ROWS
 };

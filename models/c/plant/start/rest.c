@@ -101,7 +101,7 @@ static void take_out(Alone *a, double *memory, const Plan *plan, const double *r
     double *rest = memory + plan->rest + index_at(memory + index_at(row, G_MACHINE), k);
 
     a->device = index_at(row, G_DEVICE);
-    a->group = (DeviceGroup){ a->table, &a->machine, 1, (uint64_t)index_at(row, G_HAS), NO_NOTES };
+    a->group = (DeviceGroup){ a->table, &a->machine, 1, (uint64_t)row[G_HAS], NO_NOTES };
     a->states = device_states(a->device, a->group.has);
     a->reference = device_reference(a->device);
     a->machine = a->step = a->slip = 0.0;

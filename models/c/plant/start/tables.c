@@ -217,7 +217,7 @@ static void check_groups(Reader *r, const BlockLayout *layout, const Plan *plan)
     const size_t n = plan->n_group;
     const int32_t *device = integers(r, "group.device", n, DEVICE_COUNT), *count = integers(r, "group.count", n, 100001);
     const int32_t *state = integers(r, "group.state", n, layout->n_x + 1), *known;
-    const int32_t *has = integers(r, "group.has", n, (size_t)INT32_MAX + 1);
+    const double *has = reals(r, "group.has", n);
     size_t given = 0, length;
 
     (void)integers(r, "device.machine", plan->n_device, plan->n_place);
@@ -226,7 +226,9 @@ static void check_groups(Reader *r, const BlockLayout *layout, const Plan *plan)
     for (size_t k = 0; r->bad == NULL && k < n; ++k) {
         const size_t number = (size_t)count[k];
         given += number * device_given((size_t)device[k]);
-        if ((size_t)state[k] + number * device_states((size_t)device[k], (uint64_t)has[k]) > layout->n_x)
+        if (!(has[k] >= 0.0 && has[k] < MOST_HAS))
+            r->bad = "group.has";
+        else if ((size_t)state[k] + number * device_states((size_t)device[k], (uint64_t)has[k]) > layout->n_x)
             r->bad = "group.state";
     }
     if (r->bad == NULL) (void)reals(r, "device.table", given);
@@ -294,7 +296,8 @@ static void read_groups(Reader *r, const Plan *plan, double *memory)
 {
     const size_t n = plan->n_group;
     const int32_t *device = integers(r, "group.device", n, DEVICE_COUNT), *count = integers(r, "group.count", n, 100001);
-    const int32_t *has = integers(r, "group.has", n, SIZE_MAX), *state = integers(r, "group.state", n, SIZE_MAX);
+    const int32_t *state = integers(r, "group.state", n, SIZE_MAX);
+    const double *has = reals(r, "group.has", n);
     size_t length, table = plan->device_table, machine = plan->device_machine;
     const double *given = record_f64(r->record, "device.table", &length);
 
@@ -304,7 +307,7 @@ static void read_groups(Reader *r, const Plan *plan, double *memory)
         const size_t number = (size_t)count[k], rows = device_given((size_t)device[k]) * number;
         row[G_DEVICE] = (double)device[k];
         row[G_COUNT] = (double)number;
-        row[G_HAS] = (double)has[k];
+        row[G_HAS] = has[k];
         row[G_STATE] = (double)state[k];
         row[G_TABLE] = (double)table;
         row[G_MACHINE] = (double)machine;

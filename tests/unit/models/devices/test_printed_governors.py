@@ -120,14 +120,37 @@ def test_the_valve_curve_of_wsieg1_gives_the_flow(tmp_path: Path) -> None:
     assert bent["v"] == pytest.approx(0.7, rel=1e-12) and bent["s"] == pytest.approx(0.6, rel=1e-12)
 
 
+def test_the_stabilizer_of_gridpack_is_its_block_diagram() -> None:
+    """K s/(1 + s TW) (1 + s T1)/(1 + s T2) (1 + s T3)/(1 + s T4) of the speed, MAXOUT to both sides."""
+    model, values = (
+        library()["psssim"],
+        dict(zip(PSSSIM_KEYS, (100.0, 20.0, 0.06, 0.04, 0.08, 0.05), strict=True)),
+    )
+    numbers = numbers_of(model.device, row_of(model.device, values | {"MAXOUT": 1.0}), 100.0, 60.0)
+    seen = dict.fromkeys(model.device.inputs, 0.0) | {"vt": 1.0}
+    point, omega, h = rest_of(model, numbers, seen, None, "test"), 7.0, 1e-30
+    n = len(point.states)
+    steps = 1j * h * np.eye(n + 1)
+    runs = [point.instance.run(point.states + row[:n], seen | {"slip": row[n]}) for row in steps]
+    slopes = np.array([[np.imag(v) / h for v in (*rates, signals["vs"])] for signals, rates in runs]).T
+    ours = (
+        slopes[n, :n] @ np.linalg.solve(1j * omega * np.eye(n) - slopes[:n, :n], slopes[:n, n]) + slopes[n, n]
+    )
+    s = 1j * omega
+    wanted = 100 * s / (1 + 20 * s) * (1 + 0.06 * s) / (1 + 0.04 * s) * (1 + 0.08 * s) / (1 + 0.05 * s)
+    assert ours == pytest.approx(wanted, rel=1e-12)
+    for slip in (1.0, -1.0):
+        assert point.instance.run(point.states, seen | {"slip": slip})[0]["vs"] == math.copysign(1.0, slip)
+
+
 REFUSED = {
     f"102 'WSIEG1' 1 7 {'0 ' * 4}0.1 0.3 -0.5 1 0 0.25 1{' 0' * 10} 0.01{' 0' * 13} /": r"\(JBUS\) = 7",
     f"102 'WSIEG1' 1 {'0 ' * 5}0.1 0.3 -0.5 1 0 0.25 1{' 0' * 10} 0.01 0.02{' 0' * 12} /": (
         r"ERR = 0\.02, DB1 = 0\.01, allowed: ERR <= DB1; outside its deadband"
     ),
     "102 'IEEEST' 1 1 7 0 0 0 0 0 0 0 0 0 0 5 10 3 0.1 -0.1 0 0 /": r"IEEEST field 2 \(BUS\) = 7, allowed: 0",
-    "102 'PSSSIM' 1 1 34 30 5 6 7 8 100 20 0.06 0.04 0.08 0.04 1 -1 /": "GridPACK.*--leave-out PSSSIM",
-    "102 'MAXEX2' 1 0 /": "'MAXEX2' .* over-excitation limiter, .*--leave-out MAXEX2 goes on without it",
+    "102 'PSSSIM' 1 1 34 30 5 6 7 8 100 20 0.06 0.04 0.08 0.04 1 -1 /": r"\(INPUTTYPE\) = 1, .*--leave-out",
+    "102 'MAXEX2' 1 0 /": "'MAXEX2' .* over-excitation limiter; .*--leave-out MAXEX2 goes on without it",
 }
 
 
@@ -194,6 +217,47 @@ def test_a_bus_frequency_is_that_of_its_voltage(kind: str, hz: float) -> None:
     W = 3.0
     drifting = output(lambda t: 0.6 + W * t, lambda t: 2e-3, 0.3)
     assert drifting == pytest.approx(2e-3 - W / (1.0 + (W * T) ** 2) / w0, rel=1e-6)
+
+
+PSSSIM_KEYS = ("GAINK", "TW", "T1", "T2", "T3", "T4")
+_PSS2 = {
+    "ICS1": 6.0,
+    "ICS2": 1.0,
+    "M": 0.0,
+    "N": 0.0,
+    "KS1": 1.0,
+    "KS2": 0.0,
+    "KS3": 0.0,
+    "VSTMIN": -9.0,
+    "VSTMAX": 9.0,
+}
+_PSS2 |= dict.fromkeys(("TW1", "TW2", "T6", "TW3", "TW4", "T7", "T8", "T9", "T1", "T2", "T3", "T4"), 0.0)
+_LIMITS = {"VS1MIN": -9.0, "VS1MAX": 9.0, "VS2MIN": -9.0, "VS2MAX": 9.0, "T10": 0.0, "T11": 0.0}
+DERIVATIVE = {
+    "ieeest": BUS_FREQUENCY["ieeest"] | {"ICS": 6.0, "LSMIN": -9.0, "LSMAX": 9.0},
+    "st2cut": BUS_FREQUENCY["st2cut"] | {"ICS2": 6.0, "LSMIN": -9.0, "LSMAX": 9.0},
+    "pss2a": _PSS2,
+    "pss2b": _PSS2 | _LIMITS,
+    "pss2c": _PSS2 | _LIMITS | {"T12": 0.0, "T13": 0.0},
+}
+
+
+@pytest.mark.parametrize("kind", DERIVATIVE)
+def test_the_derivative_of_the_voltage_is_an_input(kind: str) -> None:
+    """ICS = 6, gain 1 and nothing else: s/(1 + s 10 ms) of the terminal voltage, by its steady swing."""
+    model, omega, size, stop = library()[kind], 6.0, 0.02, 1.0
+    values = numbers_of(model.device, row_of(model.device, DERIVATIVE[kind]), 100.0, 60.0)
+
+    def seen(t: float) -> dict[str, float]:
+        at = {"pe": 0.8, "pm": 0.8, "id": 0.7, "iq": 0.5, "vd": 0.6, "vq": 0.8, "slip": 0.0}
+        return at | {"vt": 1.0 + size * np.sin(omega * t)}
+
+    point = rest_of(model, values, seen(0.0), None, kind)
+    run = solve_ivp(
+        lambda t, x: point.instance.run(x, seen(t))[1], (0.0, stop), point.states, rtol=1e-9, atol=1e-12
+    )
+    wanted = (1j * omega / (1.0 + 0.01j * omega) * size * np.exp(1j * omega * stop)).imag
+    assert point.instance.run(run.y[:, -1], seen(stop))[0]["vs"] == pytest.approx(wanted, rel=1e-5)
 
 
 def test_a_stabilizer_on_the_bus_frequency_moves_modes_as_in_another_tool() -> None:

@@ -362,6 +362,17 @@ def test_a_record_becomes_a_converter_behind_the_impedance_of_the_raw_file(tmp_p
     assert import_psse(raw, dyr, converters_as_current=True).case.converters == ()
 
 
+def test_a_record_of_gridpack_is_the_same_converter(tmp_path):
+    """GDFORM: the numbers of REGFMA1 in another order, Vflag last; that it is one program's is said."""
+    plain = import_psse(*_pair(tmp_path)).case.converters
+    record = "4 'GDFORM' 1 0.05 0 5.86 0.02 0.01 0.1 1.0 0 1.15 0 0.01 1.5 0.5 -0.5 3 20 0.02 0.03 1 /\n"
+    read = import_psse(*_pair(tmp_path, record))
+    assert [row.control.parameters for row in read.case.converters] == [plain[0].control.parameters]
+    assert any("GDFORM taken as REGFMA1" in line for line in read.report.assumed)
+    flat = import_psse(*_pair(tmp_path, record.replace("0.03 1 /", "0.03 0 /"))).case.converters[0]
+    assert flat.control.parameters["Vflag"] == 0.0
+
+
 def test_a_record_without_its_first_flag_is_refused(tmp_path):
     """One public reader takes 19 values; PSS/E 36 numbers two flags and 18 constants."""
     raw, dyr = _pair(tmp_path, RECORD.replace(" 1 1 1 ", " 1 1 ", 1))
