@@ -18,6 +18,14 @@ _FUNCTION = {
 _DECIDES = {"min": 1, "max": 1, "clamp": 2, "deadband": 2, "abs": 1, "fex": 4, "vx": 1, "vx_inverse": 1}
 
 
+WORD, MOST_WORDS = 64, 2  #: decisions in a word; words of a device
+
+
+def word_name(word: int) -> str:
+    """Return the name in C of a device's word of decisions, from 0."""
+    return f"l{word + 1}" if word else "l"
+
+
 def given_rows(model: Model) -> tuple[str, ...]:
     """Return the rows of a device's table that the case gives: parameters, bases, references."""
     device = model.device
@@ -35,15 +43,25 @@ class ExpressionWriter:
         self.given = given_rows(model)
         self.prepared: dict[Node, int] = {}
         self.in_prepare = False
-        self.decisions = 0  #: bits of the word of decisions that are given away
+        self.decisions = 0  #: bits of the words of decisions that are given away
         self.on: On = lambda condition: condition if isinstance(condition, bool) else None
 
     def deciding(self, name: str, count: int) -> str:
         """C of the beginning of a call of limiter_`name`, which makes `count` decisions."""
-        first = self.decisions
-        if not self.in_prepare:  # of parameters nobody asks
-            self.decisions += count
-        return f"limiter_{name}(&l, {first}u, "
+        return f"limiter_{name}({self.bit_of(self.allot(count))}, "
+
+    def allot(self, count: int) -> int:
+        """Give away `count` decisions in one word, and return the first."""
+        if self.in_prepare:  # of parameters nobody asks
+            return self.decisions
+        if self.decisions % WORD + count > WORD:
+            self.decisions += WORD - self.decisions % WORD
+        self.decisions += count
+        return self.decisions - count
+
+    def bit_of(self, decision: int) -> str:
+        """C of a decision: its word and its bit there."""
+        return f"&{word_name(decision // WORD)}, {decision % WORD}u"
 
     def row(self, name: str) -> str:
         """A row of the table."""

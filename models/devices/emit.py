@@ -8,14 +8,13 @@ import zlib
 from collections.abc import Iterable, Iterator
 
 from ..errors import DeviceError
-from .c_expression import ExpressionWriter
+from .c_expression import MOST_WORDS, WORD, ExpressionWriter, word_name
 from .language.device import KINDS
 from .language.element import Condition, Element, resolved
 from .language.elements import Integrator, Lag, Pi, Plain
 from .language.expression import ONE, ZERO, Node
 from .language.structure import Model, Order
 
-MOST_DECISIONS = 64
 _TEXT = re.compile(r"[^A-Za-z0-9 ,.:;()=+-]")
 
 
@@ -115,13 +114,14 @@ class Writer(ExpressionWriter):
     def code(self) -> list[str]:
         """Enumeration, what is prepared, the equations."""
         body = self.branch(self.model.order, {}, 2)
-        if self.most > MOST_DECISIONS:
+        if self.most > WORD * MOST_WORDS:
             raise DeviceError(
                 f"{self.device.name}: its limits, gates, choices and points of tables make {self.most} "
-                f"decisions, allowed: {MOST_DECISIONS} in one device; give tables fewer points"
+                f"decisions, allowed: {WORD * MOST_WORDS} in one device; give tables fewer points"
             )
-        begin, end = ["        Limiters l = limiters_begin(g, k);"], ["        limiters_end(g, k, &l);"]
-        begin, end = (begin, end) if self.most > 0 else ([], [])
+        words = [(k, word_name(k)) for k in range(MOST_WORDS) if self.most > k * WORD]
+        begin = [f"        Limiters {name} = limiters_begin(g, k, {k});" for k, name in words]
+        end = [f"        limiters_end(g, k, {k}, &{name});" for k, name in words]
         signature = f"static inline void equations_of_{self.prefix}("
         head = [
             f"{signature}const DeviceGroup *g, const DeviceSignals *in,",
@@ -253,9 +253,9 @@ class Writer(ExpressionWriter):
             yield f"const num whole_{name} = {value};"
             value = f"whole_{name}"
         if e.is_limited:
-            self.first[name] = self.decisions
             dynamic = isinstance(e, Lag | Integrator)
-            call = self.deciding("state" if dynamic else "clamp", 4 if dynamic or isinstance(e, Pi) else 2)
+            self.first[name] = self.allot(4 if dynamic or isinstance(e, Pi) else 2)
+            call = f"limiter_{'state' if dynamic else 'clamp'}({self.bit_of(self.first[name])}, "
             value = f"{call}{value}, low_{name}, high_{name})"
         yield f"const num s_{name} = {value}{end}"
 
@@ -268,8 +268,8 @@ class Writer(ExpressionWriter):
             value = getattr(self, f"{e.line.element}_rate")(e, state.name)
             yield f"{guard}PUT(dx, at_{state.name} + k, {value});"
             if e.is_limited and isinstance(e, Lag | Integrator):
-                arguments = f"{self.first[e.line.name]}u, g, at_{state.name} + k"
-                yield f"{guard}LIMITER_ONTO(&l, {arguments}, low_{e.line.name}, high_{e.line.name});"
+                arguments = f"{self.bit_of(self.first[e.line.name])}, g, at_{state.name} + k"
+                yield f"{guard}LIMITER_ONTO({arguments}, low_{e.line.name}, high_{e.line.name});"
 
     # ------------------------------------------------------------ elements
 
@@ -283,7 +283,7 @@ class Writer(ExpressionWriter):
         if low is None and high is None:
             if not e.is_limited:
                 return self.unless_frozen(e, f"({u} - x_{x}) * {per}")
-            call = f"limiter_lag_rate(&l, {self.first[name]}u, {u}, x_{x}, low_{name}, high_{name})"
+            call = f"limiter_lag_rate({self.bit_of(self.first[name])}, {u}, x_{x}, low_{name}, high_{name})"
             return self.unless_frozen(e, f"{call} * {per}")
         bounds = ", ".join(self.num(bound) for bound in (low, high) if bound is not None)
         which = "min" if low is None else "max" if high is None else "clamp"
@@ -300,7 +300,7 @@ class Writer(ExpressionWriter):
         name = e.line.name
         if not e.is_limited:
             return rate
-        call = f"limiter_held_rate(&l, {self.first[name]}u, "
+        call = f"limiter_held_rate({self.bit_of(self.first[name])}, "
         return f"{call}{rate}, x_{x}, low_{name}, high_{name}, {per})"
 
     def integrator_output(self, e: Element) -> str:
@@ -361,7 +361,7 @@ class Writer(ExpressionWriter):
         rate = self.unless_frozen(e, f"{self.constant(e.args[2])} * {error}")
         if not e.is_limited:
             return rate
-        call = f"limiter_pi_rate(&l, {self.first[name] + 2}u, "
+        call = f"limiter_pi_rate({self.bit_of(self.first[name] + 2)}, "
         return f"{call}{rate}, whole_{name}, low_{name}, high_{name})"
 
     def _filter(self, e: Element) -> tuple[str, str]:

@@ -39,7 +39,7 @@ SOURCE = "source"  #: kind of those that are a voltage behind ZR + jZX of the RA
 SVC = "svc"  #: kind of the devices of units that are SVCs
 WHOLE = "DERA1"  #: a record that is a converter by itself
 #: of another converter: one record of each
-_PARTS = ((("REGCA1",), "is the converter itself"), (("REECB1", "REECA1"), "sets its currents"))
+_PARTS = ((("REGCA1",), "is the converter itself"), (("REECB1", "REECA1", "REECC1"), "sets its currents"))
 _CURRENTS = "; --converters current takes converters as constant currents"
 
 #: why these are not modelled

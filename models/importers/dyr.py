@@ -20,6 +20,7 @@ PLAIN = {
     "REGCAU1": "REGCA1",
     "REECAU1": "REECA1",
     "REECBU1": "REECB1",
+    "REECCU1": "REECC1",
     "REPCAU1": "REPCA1",
     "REPCTA1": "REPCA1",
     "DERAU1": "DERA1",

@@ -45,7 +45,7 @@ BlockStatus block_needs(const Record *record, const BlockLayout *layout, BlockNe
     if (status != BLOCK_OK) return status;
     needs->n_memory = plan.total;
     needs->n_scratch = scratch_of(&plan, layout);
-    needs->n_notes = plan.n_device;
+    needs->n_notes = plan.n_device * (plan.wide ? 2 : 1);
     needs->n_decisions = plan.n_decision;
     needs->n_warm = plan.folded > 0 ? plan.total - plan.warm : plan.n_port > 0 ? plan.total : 0;
     return BLOCK_OK;

@@ -37,16 +37,20 @@ def positive(device: Device, node: Node) -> Condition:
     """Return the condition `node` > 0, decided where the ranges decide it."""
     if device.always_positive(node):
         return True
-    if node.op == "pick" and device.always_positive(node.args[1]) and node.args[2] == ZERO:
-        return node.args[0]  # the choice itself: one bit in place of two
-    return False if node.op == "number" else Node(">", (node, ZERO))
+    return False if node.op == "number" else chosen(device, node) or Node(">", (node, ZERO))
 
 
 def nonzero(device: Device, node: Node) -> Condition:
     """Return the condition `node` != 0, decided where the ranges decide it."""
     if node.op == "number":
         return node.value != 0.0
-    return True if device.always_positive(node) else Node("!=", (node, ZERO))
+    return True if device.always_positive(node) else chosen(device, node) or Node("!=", (node, ZERO))
+
+
+def chosen(device: Device, node: Node) -> Node | None:
+    """Return the condition of a choice of something above 0 or 0: one bit in place of two."""
+    positive_or_0 = node.op == "pick" and device.always_positive(node.args[1]) and node.args[2] == ZERO
+    return node.args[0] if positive_or_0 else None
 
 
 def conditions_in(device: Device, node: Node) -> Iterator[Node]:

@@ -9,7 +9,7 @@ from typing import Any
 
 from ...errors import DeviceError
 from .device import NO_LIMIT, Device, Line
-from .element import Element, Equation, On, State, Values, nonzero, positive, real_part, times
+from .element import Element, Equation, On, State, Values, chosen, nonzero, positive, real_part, times
 from .expression import ONE, ZERO, Node, evaluate, number
 
 
@@ -58,7 +58,7 @@ def _held(rate: Any, y: Any, low: Any, high: Any, T: float) -> Any:
 
 
 class Integrator(Element):
-    """T y' = K u."""
+    """T y' = K u; a K that a flag makes 0 leaves the state out, and y is 0."""
 
     @property
     def T(self) -> Node:
@@ -66,18 +66,22 @@ class Integrator(Element):
         return self.option("T", ONE)
 
     def states(self) -> tuple[State, ...]:
-        return (State(self.line.name, True, None),)
+        return (State(self.line.name, chosen(self.device, self.K) or True, None),)
 
     def passes_input(self, on: On) -> bool:
         return False
 
     def at_rest(self, on: On) -> Equation:
-        return Equation(ZERO, self.u, self.line.name)
+        if on(self.states()[0].present):
+            return Equation(ZERO, self.u, self.line.name)
+        return Equation(Node("name", name=self.line.name), ZERO, self.line.name)
 
     def output(self, x: Values, values: Values, on: On) -> Any:
-        return self.clamped(x[self.line.name], values)
+        return self.clamped(x[self.line.name] if on(self.states()[0].present) else 0.0, values)
 
     def rates(self, x: Values, values: Values, on: On) -> dict[str, Any]:
+        if not on(self.states()[0].present):
+            return {}
         y, T = x[self.line.name], self.time(self.T, values)
         low, high = self.bounds(values)
         return {self.line.name: _held(self.unless_frozen(self.input(values) / T, values), y, low, high, T)}

@@ -37,7 +37,7 @@ typedef struct {
 } DeviceSignals;
 
 /* Limiters, gates and other slope discontinuities decide by comparing signals: decision i of a device is bit i of
- * its word. A step of the solver in which a word changes is done again (block/limited_step.h) with
+ * its word, from 64 on of its second one. A step of the solver in which a word changes is done again (block/limited_step.h) with
  * the decisions held as they were at its begin, up to where the first no longer fits. PLANT_HELD
  * compiles that: what a decision would be does not matter there, but `enter` is above 0 where one
  * that is held off no longer fits, `leave` where one that is held on does not. */
@@ -77,35 +77,36 @@ static inline flag limiter(Limiters *l, unsigned i, flag natural, num enter, num
 }
 #endif
 
-/* The word of device k before it decides, and what becomes of it after. */
-static inline Limiters limiters_begin(const DeviceGroup *g, size_t k)
+/* The first or second word (0, 1) of device k before it decides, and what becomes of it after. */
+static inline Limiters limiters_begin(const DeviceGroup *g, size_t k, size_t word)
 {
 #ifdef PLANT_HELD
-    double *each = g->notes.each != NULL ? g->notes.each + k * g->notes.most : NULL;
-    const Limiters l = { real_bits(g->notes.words[k]), -1e300, each };
+    double *each = g->notes.each != NULL ? g->notes.each + k * g->notes.most + 64 * word : NULL;
+    const Limiters l = { real_bits(g->notes.words[k + word * g->notes.second]), -1e300, each };
 #else
     const Limiters l = { (Decisions){ 0 } };
-    (void)g, (void)k;
+    (void)g, (void)k, (void)word;
 #endif
     return l;
 }
 
-static inline void limiters_end(const DeviceGroup *g, size_t k, const Limiters *l)
+static inline void limiters_end(const DeviceGroup *g, size_t k, size_t word, const Limiters *l)
 {
 #if defined PLANT_HELD
-    (void)k;
+    (void)k, (void)word;
     if (l->worst > *g->notes.worst) *g->notes.worst = l->worst;
 #elif defined PLANT_TANGENT
-    (void)g, (void)k, (void)l;
+    (void)g, (void)k, (void)word, (void)l;
 #else
     const Notes *notes = &g->notes;
     if (notes->words == NULL) return;
+    cell *at = notes->words + k + word * notes->second;
     if (notes->switched == NULL) {
-        memcpy(notes->words + k, &l->bits, sizeof l->bits);
+        memcpy(at, &l->bits, sizeof l->bits);
         return;
     }
     Decisions before;
-    memcpy(&before, notes->words + k, sizeof before);
+    memcpy(&before, at, sizeof before);
 #if !defined PLANT_LANES
     if (before != l->bits) *notes->switched = 1.0;
 #elif defined PLANT_TILE

@@ -303,7 +303,7 @@ static void run_groups(const real *memory, const Plan *plan, const Work *w, size
     for (size_t k = first; k < last; ++k) {
         const real *row = memory + plan->group + G_ROWS * k;
         const size_t state = index_at(row, G_STATE), machine = index_at(row, G_MACHINE);
-        const Notes of = notes_of(&w->notes, machine - plan->device_machine, state);
+        const Notes of = notes_of(&w->notes, machine - plan->device_machine, plan->n_device, state);
         const Notes notes = notes_each(of, memory, plan, k);
         const DeviceGroup group = { memory + index_at(row, G_TABLE), memory + machine, index_at(row, G_COUNT),
                                     (uint64_t)first_at(row, G_HAS), notes };

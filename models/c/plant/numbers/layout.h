@@ -150,6 +150,7 @@ enum {  /* relay of a slot: when it last looked (-INFINITY: never), the angle th
 
 typedef struct {
     size_t n_machine, n_sixth, n_bus, n_branch, n_load;
+    size_t wide;          /* 1 where a device has more than 64 decisions */
     size_t n_group, n_device, n_decision, n_table, n_input, n_tie, n_slot, n_port, n_state;
     size_t n_at_bus;      /* devices at buses; of n_place, they come after the machines */
     size_t n_place;       /* n_machine + n_at_bus: where devices have their signals */

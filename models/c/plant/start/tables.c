@@ -53,12 +53,13 @@ static int count_devices(const Record *record, Plan *plan)
     size_t count, same;
     const int32_t *device = record_i32(record, "group.device", &count), *n = record_i32(record, "group.count", &same);
     if (count != plan->n_group || same != count) return 0;
-    plan->n_device = plan->n_decision = plan->n_table = 0;
+    plan->n_device = plan->n_decision = plan->n_table = plan->wide = 0;
     for (size_t k = 0; k < count; ++k) {
         if (device[k] < 0 || device[k] >= DEVICE_COUNT || n[k] < 1 || n[k] > 100000) return 0;
         plan->n_device += (size_t)n[k];
         plan->n_decision += (size_t)n[k] * device_decisions((size_t)device[k]);
         plan->n_table += (size_t)n[k] * device_rows((size_t)device[k]);
+        if (device_decisions((size_t)device[k]) > 64) plan->wide = 1;
     }
     return 1;
 }

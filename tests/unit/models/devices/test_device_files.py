@@ -121,8 +121,8 @@ def test_a_loop_without_a_state_is_refused_where_a_time_is_zero():
         model.order_of(model.has(values | {"TA": 0.0}))
 
 
-def test_a_device_of_more_than_64_decisions_is_refused():
-    """The lag has four, each abs() one: they are bits of one word."""
+def test_a_device_of_more_than_128_decisions_is_refused():
+    """The lag has four, each abs() one: they are bits of two words."""
 
     def deciding(most: int) -> Model:
         each = [f"abs(vc - {k / 100})" for k in range(most - 4)]
@@ -133,8 +133,10 @@ def test_a_device_of_more_than_64_decisions_is_refused():
         return Model(device_of(GOOD.replace("efd = lag(y, TA", "\n".join(rows), 1), "my_avr.toml"))
 
     assert "limiter_state(&l, 60u," in devices_header([deciding(64)])  # and 61 to 63
-    with pytest.raises(DeviceError, match=r"MY_AVR: .* make 65 decisions, allowed: 64 in one device; give"):
-        devices_header([deciding(65)])
+    assert "limiter_state(&l2, 60u," in devices_header([deciding(128)])
+    assert "limiter_state(&l2, 0u," in devices_header([deciding(66)])  # four stand in one word
+    with pytest.raises(DeviceError, match=r"MY_AVR: .* make 132 decisions, allowed: 128 in one device; give"):
+        devices_header([deciding(129)])
 
 
 def mutant(text: str, rng: random.Random) -> str:

@@ -41,6 +41,8 @@ RECORDS = {
     "9 -9 1 0 1.1 0.02",
     "REECA1": "0 0 1 1 0 0 0.85 1.2 0.02 -0.05 0.05 1 1.1 -1.1 1 0 0 0 0.05 0.44 -0.44 1.1 0.9 0 0.1 1 40 "
     "0.05 0.02 9 -9 1 0 1.1 0.02 0.1 0.5 0.6 1 1 1.2 0 0 0.2 0.1 0.5 0.4 0.8 1 0 0",
+    "REECC1": "0 0 1 1 0 0.85 1.2 0.02 -0.05 0.05 1 1.1 -1.1 1 0.05 0.44 -0.44 1.1 0.9 0 0.1 1 40 "
+    "0.02 9 -9 1 -1 1.1 0.02 0.1 0.5 0.6 1 1 1.2 0 0 0.2 0.1 0.5 0.4 0.8 1 0 0 7200 0.6 0.9 0.1",
     "REPCA1": "0 0 0 0 0 0 1 0.02 18 5 0 0.05 0.7 0 0 0.02 0.1 -0.1 -0.01 0.01 0.43 -0.43 1 0.05 0.25 "
     "-0.0006 0.0006 9 -9 1 0 0.1 20 5",
     "REGFMA1": "1 1 0.01 0.01 0.01 2 1.15 0 0.9 0 0.44 -0.44 0.01 0.05 0.01 0.1 3 20 0 5.86",
@@ -223,7 +225,7 @@ int note(size_t device, size_t n, uint64_t has, size_t lanes, double *table, con
          const DeviceSignals *in, const double *x, double *dx, double *words, int watch)
 {
     double switched = 0.0;
-    const Notes notes = { words, watch ? &switched : NULL, NULL, NULL, NULL, 0 };
+    const Notes notes = { words, watch ? &switched : NULL, NULL, NULL, NULL, 0, n };
     const DeviceGroup group = { table, machine, n, has, notes };
     TILED(device_run, lanes, n, device, &group, in, x, dx);
     return switched > 0.0;
@@ -243,7 +245,7 @@ double hold(size_t device, size_t n, uint64_t has, double *table, const double *
             const DeviceSignals *in, const double *x, double *dx, double *words, double *onto)
 {
     double worst = -INFINITY;
-    const DeviceGroup group = { table, machine, n, has, { words, NULL, &worst, onto, NULL, 0 } };
+    const DeviceGroup group = { table, machine, n, has, { words, NULL, &worst, onto, NULL, 0, n } };
     device_run(device, &group, in, x, dx);
     return worst;
 }

@@ -75,7 +75,7 @@ def test_a_plant_follows_the_record(name):
         (
             "'REECB1' 1",
             "'REECB1' 2",
-            "G103 has no REECB1 or REECA1, which sets its currents, allowed: one; --converters current",
+            "G103 has no REECB1 or REECA1 or REECC1, which sets its currents, allowed: one; --converters",
         ),
         ("'REGCA1' 1", "'REGCA1' 2", "G103 has no REGCA1, which is the converter itself"),
         (
