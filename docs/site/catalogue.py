@@ -114,7 +114,7 @@ def devices_page() -> Iterator[str]:
     yield "# Devices"
     yield ""
     yield (
-        "For those who import or write a case: the exciters, governors, stabilizers and compensators "
+        "For those who import or write a case: exciters, governors, stabilizers, limiters and compensators "
         "that a machine can have. After this page you know the key of each, its parameters and its "
         "signal flow. Each is one TOML file in `models/devices`; the C, the import of PSS/E records "
         "and this page are made from it."

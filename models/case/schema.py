@@ -20,6 +20,7 @@ from .control_schema import (
     ConverterControl,
     Exciter,
     Governor,
+    Limiter,
     NonNegative,
     Number,
     Positive,
@@ -245,6 +246,7 @@ class Machine(Row):
     exciter: Exciter = Control(kind="constant")  #: device and its values; default: constant field voltage
     stabilizer: Stabilizer | None = None  #: device and its values; default: none
     compensator: Compensator | None = None  #: what the exciter regulates instead of the terminal voltage
+    limiter: Limiter | None = None  #: of the excitation: what lowers its reference; default: none
     governor: Governor = Control(kind="none")  #: device and its values; default: constant mechanical power
 
     @model_validator(mode="after")
@@ -257,10 +259,9 @@ class Machine(Row):
         if self.model == "round_rotor":
             self._check_round_rotor()
         else:
-            if self.exciter.kind != "constant" or self.stabilizer is not None:
-                raise ValueError(
-                    f"a {self.model} machine has no field circuit, allowed: constant exciter, no stabilizer"
-                )
+            if self.exciter.kind != "constant" or self.stabilizer or self.limiter:
+                what = "constant exciter, no stabilizer or limiter"
+                raise ValueError(f"a {self.model} machine has no field circuit, allowed: {what}")
             if self.model == "infinite_bus" and (
                 self.governor.kind != "none" or self.H is not None or self.D
             ):
@@ -271,9 +272,9 @@ class Machine(Row):
         """Raise ValueError for saturation or controls given twice, and for reactances that no machine has."""
         if self.saturation is not None and self.flux_saturation is not None:
             raise ValueError("saturation and flux_saturation are both given, allowed: one of them")
-        if self.exciter.kind == "constant" and (self.stabilizer or self.compensator):
-            what = "stabilizer" if self.stabilizer else "compensator"
-            raise ValueError(f"a {what} but constant excitation; give it an exciter")
+        beside = [word for word in ("stabilizer", "compensator", "limiter") if getattr(self, word)]
+        if self.exciter.kind == "constant" and beside:
+            raise ValueError(f"a {beside[0]} but constant excitation; give it an exciter")
         self._check_reactances()
 
     def _check_reactances(self) -> None:

@@ -1,1 +1,1 @@
-"""Devices as files: exciters, governors, stabilizers, compensators, one TOML file each."""
+"""Devices as files: exciters, governors, stabilizers, compensators, limiters and more, one TOML file each."""

@@ -28,6 +28,7 @@ STEPS = {
     "governor": ("pref", 0.01),
     "stabilizer": ("slip", 1e-3),
     "compensator": ("iq", 0.1),
+    "limiter": ("ifd", 1.0),
     "svc": ("vref", 0.01),
     "statcom": ("vref", 0.01),
     "converter": ("pref", 0.01),

@@ -14,7 +14,7 @@ from ..errors import DeviceError
 from .raw import machine_identities
 from .written import Written, named
 
-_CONTROLS = ("exciter", "stabilizer", "compensator", "governor")
+_CONTROLS = ("exciter", "stabilizer", "compensator", "limiter", "governor")
 #: what a user-written model is, the number IC of its record
 _CODES = {"compensator": 2, "stabilizer": 3, "exciter": 4, "governor": 5}
 _ROUND = ("Td01", "Td02", "Tq01", "Tq02", "H", "D", "Xd", "Xq", "Xd1", "Xq1", "Xd2", "Xl")
@@ -47,6 +47,9 @@ def dyr_of(case: Case) -> Written:
                 name, fields = _control(device, control, m.base_mva, case.frequency_hz)
             except DeviceError as error:
                 losses.append(f"{m.name}.{word}: {error}")
+                continue
+            if control.kind in case.own_devices and word not in _CODES:
+                losses.append(f"{m.name}.{word}: no code of a user-written model stands for a {word}")
                 continue
             user = _user(device) if control.kind in case.own_devices else ""
             lines.append(_record(m.bus, name, identity[m.name], fields, user))

@@ -21,7 +21,7 @@ from .machine_tables import NETWORK, MachinePoint, State
 
 SHORTEST_S = 1e-6  #: least value a time constant may be set to
 #: order of states, inputs and parameters
-NUMBERED = ("exciter", "stabilizer", "compensator", "governor", *AT_BUS)
+NUMBERED = ("exciter", "stabilizer", "compensator", "limiter", "governor", *AT_BUS)
 #: what a device sees at the operating point, in the order of R_* of plant/numbers/layout.h
 SEEN = ("vt", "vd", "vq", "id", "iq", "pe", "ifd", "vc", "vs", "pm", "efd", "out")
 
@@ -248,8 +248,8 @@ def controls_at_rest(
         device = _device(row_name(case, k, word), k, word, rest, inputs[k])
         devices.append(device)
         inputs[k][KINDS[word].output] = device.output
-        if word == "stabilizer":
-            inputs[k]["vs"] |= {f"{case.machines[k].name}_vs"}
+        if word in ("stabilizer", "limiter"):  # the exciter adds them to the FMU's input
+            inputs[k]["vs"] |= device.output | {f"{case.machines[k].name}_vs"}
     devices.sort(key=lambda d: (NUMBERED.index(d.word), d.place))
     keys = list(dict.fromkeys((d.word, d.key, d.has) for d in devices))
     groups = tuple(
@@ -299,7 +299,8 @@ def rests_of(
             rest = _rest(case, k, model, control, row, room)
             rests.append((k, word, rest))
             if isinstance(rest, RestPoint):
-                seen[SEEN.index(KINDS[word].output), k] = row[KINDS[word].output] = rest.output
+                key = KINDS[word].output
+                seen[SEEN.index(key if key in SEEN else "out"), k] = row[key] = rest.output
     for k, (row_at, bus) in enumerate(zip(case.at_buses, buses, strict=True), start=len(points)):
         model = model_at_bus(row_at, own)
         kind, share = model.device.kind, row_at.base_mva / case.base_mva

@@ -44,6 +44,11 @@ class ControlMargin:
         return (m.high_text if upper else m.low_text) or f"{m.high if upper else m.low:g}"
 
     @property
+    def fixed(self) -> bool:
+        """Whether that is a number, which no parameter moves."""
+        return self.limit.lstrip("-").replace(".", "", 1).isdigit()
+
+    @property
     def at_limit(self) -> bool:
         """Whether it rests at that limit."""
         return self.margin.least <= AT_LIMIT * max(1.0, abs(self.margin.value))
@@ -59,12 +64,13 @@ class Start:
     def text(self) -> str:
         """Return one line, and one for each control that cannot rest."""
         if not self.unrest:
-            return "\n".join(self._at_limits()) or "start: every control rests within its limits"
+            at = self._at_limits() or ["start: every control rests within its limits"]
+            return "\n".join([*at, *self._waiting()])
         head = f"start: {len(self.unrest)} controls cannot rest (--release-limits widens limits)"
         return "\n".join([head, *(f"  {item.error}" for item in self.unrest)])
 
     def _at_limits(self) -> list[str]:
-        at = [item for item in self.margins if item.at_limit]
+        at = [item for item in self.margins if item.at_limit and not item.fixed]
         if not at:
             return []
         head = f"start: {len(at)} limits at which a control rests (--release-limits widens them)"
@@ -75,6 +81,12 @@ class Start:
             for one in at
         )
         return [head, *listed]
+
+    def _waiting(self) -> list[str]:
+        """What waits at a limit by its design, as the integrator of a limiter does at 0: one line."""
+        at = [item for item in self.margins if item.at_limit and item.fixed]
+        signals = ", ".join(dict.fromkeys(f"{one.kind} {one.margin.signal}" for one in at))
+        return [f"start: {len(at)} signals wait at a limit of their design ({signals})"] if at else []
 
 
 def start_of(case: Case, power_flow: PowerFlow | None = None) -> Start:

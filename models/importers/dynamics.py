@@ -50,13 +50,16 @@ _UNDER = "an under-excitation limiter; left out, nothing stops a machine that ta
 _WHY = {
     **dict.fromkeys(("CMLDBLU1", "CMLDBLU2", "ACMTBLU1", "CIM5BL", "CIM6BL", "CLODBL"), _LOAD),
     **dict.fromkeys(("WTDTA1", "WTARA1", "WTPTA1", "WTTQA1"), _WIND),
-    **dict.fromkeys(("MAXEX1", "MAXEX2", "OEL1B"), _OVER),
+    **dict.fromkeys(("MAXEX1", "OEL1B"), _OVER),
     **dict.fromkeys(("MNLEX1", "MNLEX2", "UEL1", "UEL2"), _UNDER),
     "REGCC1": "a converter with an inner current loop and a phase-locked loop",
 }
 
-#: assumed of records that one other program has
-_ASSUMED = {"GDFORM": "GridPACK's GDFORM taken as REGFMA1: E late by 5 ms where it is not integrated"}
+#: assumed of records of these models
+_ASSUMED = {
+    "GDFORM": "GridPACK's GDFORM taken as REGFMA1: E late by 5 ms where it is not integrated",
+    "MAXEX2": "MAXEX2 watches the field current, also where its first field asks for the field voltage",
+}
 
 #: models that only trip or measure
 RELAYS = frozenset(

@@ -44,6 +44,12 @@ KINDS: dict[str, Kind] = {
     "stabilizer": Kind(
         {"pm": "mechanical power, pu of the machine's base"} | _TERMINAL, "vs", (), "power system stabilizer"
     ),
+    "limiter": Kind(
+        {"ifd": "field current Xad ifd, pu"} | _TERMINAL,
+        "vl",
+        (),
+        "limiter of the excitation: what is added where the exciter adds the stabilizer's signal",
+    ),
     "exciter": Kind(
         {
             "vc": "terminal voltage, compensated where there is a compensator, pu",

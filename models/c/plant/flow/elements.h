@@ -29,7 +29,7 @@ typedef struct {
 typedef struct {
     const cell *vt, *vd, *vq, *id, *iq, *pe, *slip, *ifd;
     const stored *pref_step; /* added to the governors' load reference                 */
-    cell *vc, *vs, *pm, *efd, *b, *i, *ip, *idc, *delta, *ip1; /* what devices give         */
+    cell *vc, *vs, *pm, *efd, *vl, *b, *i, *ip, *idc, *delta, *ip1; /* what devices give         */
     const cell *p, *q, *p_mod, *q_mod; /* of a converter: in the arrays of pe, ifd, vs, vc    */
     const cell *vdr, *vdi; /* of a dc link: in the arrays of vt, pe                           */
     const cell *vr, *vi;   /* of a converter: in the arrays of vd, vq                         */

@@ -313,7 +313,7 @@ static void run_groups(const real *memory, const Plan *plan, const Work *w, size
 
 /* Field voltages and mechanical powers of all machines: constants of the operating point,
  * or what their devices give. Steps of Vref and the inputs act where the exciters add
- * the stabilizers' signals, a step of Pm on the load reference of a governed machine. */
+ * the stabilizers' signals and the limiters', a step of Pm on the load reference of a governed machine. */
 static void solve_devices(const real *memory, const Plan *plan, const num *x, const num *u,
                           num *dx, Work *w)
 {
@@ -321,20 +321,21 @@ static void solve_devices(const real *memory, const Plan *plan, const num *x, co
     const real *table = memory + plan->machine, *of = memory + plan->input_machine;
     const Machines machines = machines_of(memory, plan, x, w);
     const DeviceSignals signals = { w->vt, w->vd, w->vq, w->id, w->iq, w->pe, machines.x.slip, w->ifd,
-                                    memory + plan->pm_step, w->vc, w->vs, w->pm, w->efd, w->out, w->out, w->out,
+                                    memory + plan->pm_step, w->vc, w->vs, w->pm, w->efd, w->out, w->out, w->out, w->out,
                                     w->out, w->out, w->out, w->pe, w->ifd, w->vs, w->vc, w->vt, w->pe, w->vd, w->vq,
                                     w->vt, w->pe, w->vd, w->vq };
 
     for (size_t k = 0; k < n; ++k) {
         w->efd[k] = NUM(table[M_EFD0 * n + k]);
         w->pm[k] = NUM(table[M_PM0 * n + k] + memory[plan->pm_step + k]);
-        w->vs[k] = NUM(0.0);
+        w->vs[k] = w->out[k] = NUM(0.0);
         w->vc[k] = w->vt[k];
         w->pe[k] = w->vd[k] * w->id[k] + w->vq[k] * w->iq[k];
     }
     EVERY_MACHINE(machine_field_currents, plan, w, &machines);
     run_groups(memory, plan, w, 0, plan->exciters, &signals, x, dx);
     for (size_t k = n; k < plan->n_place; ++k) w->vs[k] = w->vc[k] = NUM(0.0);
+    for (size_t k = 0; k < n; ++k) w->vs[k] += w->out[k];   /* of the limiters */
     for (size_t k = 0; k < plan->n_place; ++k) w->vs[k] += memory[plan->vref_step + k];
     for (size_t k = 0; k < plan->n_input; ++k) {
         const size_t at = index_at(of, k);

@@ -107,13 +107,13 @@ static void take_out(Alone *a, double *memory, const Plan *plan, const double *r
     a->machine = a->step = a->slip = 0.0;
     a->signals = (DeviceSignals){ rest + R_VT * n, rest + R_VD * n, rest + R_VQ * n, rest + R_ID * n,
                                   rest + R_IQ * n, rest + R_PE * n, &a->slip, rest + R_IFD * n, &a->step,
-                                  rest + R_VC * n, rest + R_VS * n, rest + R_PM * n, rest + R_EFD * n,
+                                  rest + R_VC * n, rest + R_VS * n, rest + R_PM * n, rest + R_EFD * n, rest + R_OUT * n,
                                   rest + R_OUT * n, rest + R_OUT * n, rest + R_OUT * n, rest + R_OUT * n, rest + R_OUT * n,
                                   rest + R_OUT * n,
                                   rest + R_PE * n, rest + R_IFD * n, rest + R_VS * n, rest + R_VC * n,
                                   rest + R_VT * n, rest + R_PE * n, rest + R_VD * n, rest + R_VQ * n,
                                   rest + R_VT * n, rest + R_PE * n, rest + R_VD * n, rest + R_VQ * n };
-    double **const outputs[] = { &a->signals.pm, &a->signals.vc, &a->signals.vs, &a->signals.efd,
+    double **const outputs[] = { &a->signals.pm, &a->signals.vc, &a->signals.vs, &a->signals.vl, &a->signals.efd,
                                 &a->signals.b, &a->signals.i, &a->signals.ip, &a->signals.idc, &a->signals.delta,
                                 &a->signals.ip1 };
     double **output = outputs[device_kind(a->device)];
@@ -147,7 +147,8 @@ static int settle_device(Block *b, const Plan *plan, const double *row, size_t k
 
 BlockStatus rest_settle(Block *b, const Plan *plan, const Network *net, BlockMessage *message)
 {
-    static const char *const kinds[] = { ".governor", ".compensator", ".stabilizer", ".exciter", "", "", "", "", "" };
+    static const char *const kinds[] = { ".governor", ".compensator", ".stabilizer", ".limiter", ".exciter",
+                                        "", "", "", "", "", "" };
     size_t length;
     const double *given = record_f64(b->record, "device.table", &length);
     const double *rest = record_f64(b->record, "state.rest", &length);

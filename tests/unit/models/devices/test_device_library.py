@@ -101,6 +101,7 @@ RECORDS = {
     "IEE2ST": "1 0 4 0 1 0.1 0 0 3 3 0.2 0.02 0 0 0 0 0.1 -0.1 1.2 0.8",
     "IEEEVC": "0.01 0.05",
     "COMP": "0.05",
+    "MAXEX2": "1 2.5 1.1 120 1.2 40 1.5 15 1 0.002 -0.05",
     "WSIEG1": "0 0 20 0.2 0.1 0.1 0.3 -0.5 1 0 0.25 0.3 0 5 0.4 0 0.4 0.3 0 0.3 0 0 0.0006 0.0002 0.01 "
     "0 0 0.3 0.4 0.6 0.8 0.8 0.95 1 1.02 0",
 }
@@ -252,7 +253,7 @@ double hold(size_t device, size_t n, uint64_t has, double *table, const double *
 """
 #: members of DeviceSignals, in the order of elements.h
 MEMBERS = (
-    *("vt", "vd", "vq", "id", "iq", "pe", "slip", "ifd", "pref_step", "vc", "vs", "pm", "efd"),
+    *("vt", "vd", "vq", "id", "iq", "pe", "slip", "ifd", "pref_step", "vc", "vs", "pm", "efd", "vl"),
     *("b", "i", "ip", "idc", "delta", "ip1", "p", "q", "p_mod", "q_mod", "vdr", "vdi"),
     *("vr", "vi", "v1", "p1", "v2", "p2"),
 )

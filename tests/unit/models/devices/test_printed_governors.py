@@ -150,7 +150,7 @@ REFUSED = {
     ),
     "102 'IEEEST' 1 1 7 0 0 0 0 0 0 0 0 0 0 5 10 3 0.1 -0.1 0 0 /": r"IEEEST field 2 \(BUS\) = 7, allowed: 0",
     "102 'PSSSIM' 1 1 34 30 5 6 7 8 100 20 0.06 0.04 0.08 0.04 1 -1 /": r"\(INPUTTYPE\) = 1, .*--leave-out",
-    "102 'MAXEX2' 1 0 /": "'MAXEX2' .* over-excitation limiter; .*--leave-out MAXEX2 goes on without it",
+    "102 'MAXEX1' 1 0 /": "'MAXEX1' .* over-excitation limiter; .*--leave-out MAXEX1 goes on without it",
 }
 
 

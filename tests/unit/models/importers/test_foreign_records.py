@@ -32,13 +32,13 @@ def loads(imported: Imported) -> dict[str, tuple[float, float, float, float]]:
 
 
 def test_a_record_left_out_is_said(tmp_path: Path) -> None:
-    limiter = "1 'MAXEX2' 1 1.0 2.6 1.05 40 1.1 20 1.25 5 1.0 -0.05 0.0 /\n"
+    limiter = "1 'MAXEX1' 1 1.0 2.6 1.05 40 1.1 20 1.25 5 1.0 -0.05 0.0 /\n"
     with pytest.raises(
-        CaseError, match=r"an over-excitation .* left out, .*--leave-out MAXEX2 goes on without"
+        CaseError, match=r"an over-excitation .* left out, .*--leave-out MAXEX1 goes on without"
     ):
         taken(tmp_path, SEXS + limiter)
-    left = taken(tmp_path, SEXS + limiter, leave_out=["maxex2"])
-    assert left.report.assumed["MAXEX2 left out, as was asked"] == 1
+    left = taken(tmp_path, SEXS + limiter, leave_out=["maxex1"])
+    assert left.report.assumed["MAXEX1 left out, as was asked"] == 1
     assert left.case == taken(tmp_path, SEXS).case
 
 
