@@ -7,7 +7,9 @@ Each record is a run of the full nonlinear plant with one source (mechanical pow
 every fifth record with two, at .15 to 1.2 Hz. Half of the buses with a machine or load and a tenth of the
 branches are seen for 80 s, at 30 frames a second with white noise (`NOISE`; `--see frequency` takes
 the frequency of a bus with `NOISE_HZ` in place of its angle), one sample of twenty lost. Printed: named with
-place and kind; named as one of several units of that kind at that bus; not named; wrong.
+place and kind; named as one of several units of that kind at that bus; one of two sources named alone, with
+what it leaves unexplained; not named; wrong: a place that is no source. Then of how many the source, or a
+unit of its kind at its bus, is among the first two places; of two sources named as one the stronger.
 
 `--contest` takes the 13 oscillations of `contest.py` instead, of the kinds of the contest of 2021.
 """
@@ -47,7 +49,7 @@ def main() -> None:
     options = parser.parse_args()
     case, tasks = contest() if options.contest else (ia.load_case(options.case), None)
     plant = sparse_linear_plant(case, default_cache())
-    counts = dict.fromkeys(("right", "one of several", "not named", "wrong"), 0)
+    counts = dict.fromkeys(("right", "one of several", "one of two", "not named", "wrong"), 0)
     first_two, asked = 0, 0
     for number in range(options.records if tasks is None else len(tasks)):
         rng = np.random.default_rng((options.seed, number))
@@ -66,7 +68,7 @@ def main() -> None:
             kind = verdict(answer, truth)
             counts[kind] += 1
             asked += 1
-            first_two += truth in [pairs(c) for c in answer.candidates if len(c.places) == len(truth)][:2]
+            first_two += among_first_two(case, answer, truth, alone=kind == "one of two")
             print(
                 f"{number:3d} {name} {f:.3f} Hz {sorted(truth)}: {kind}; {answer.why} ({took:.2f} s)",
                 flush=True,
@@ -81,7 +83,21 @@ def verdict(answer, truth):
         return "not named"
     if truth in [pairs(each) for each in (answer.source, *answer.others)]:
         return "one of several" if answer.others else "right"
-    return "wrong"
+    return "one of two" if pairs(answer.source) < truth else "wrong"
+
+
+def among_first_two(case, answer, truth, *, alone):
+    """Whether the true places, or units of their kinds at their buses, are among the first two.
+
+    alone : of two sources one was named, which is judged as a source alone.
+    """
+    bus = {each.name: f"bus{each.bus}" for each in (*case.machines, *case.loads)}
+    true = {frozenset((bus.get(place, place), kind) for place, kind in truth)}
+    if alone:
+        true = {frozenset([one]) for each in true for one in each}
+    size = 1 if alone else len(truth)
+    ranked = [frozenset(zip(c.at, c.kinds, strict=True)) for c in answer.candidates if len(c.places) == size]
+    return bool(true & set(list(dict.fromkeys(ranked))[:2]))
 
 
 def sources(case, plant, rng, f, count):

@@ -99,31 +99,37 @@ def meter(
     swings = swings_of(record, band_hz, quantity, channels)
     start = _jolt(swings)
     if start is None and not swings.length_s >= LEAST_AMBIENT_S:
-        start = int(np.argmax(np.abs(swings.combined).max(axis=1)))
-        swings_seen, error = _ring_down(swings, start, band_hz)
-        if not (error <= _POOR_FIT and swings_seen):
-            swings_seen = [s for s in _ambient(swings, band_hz) if s.kind != MODAL]
-            if not swings_seen:
-                raise RecordError(
-                    f"{record.source}: {swings.length_s:.4g} s without a disturbance that rings down (misfit "
-                    f"{error:.0%}) and without a forced line are too short for a damping ratio, wanted: "
-                    f"{LEAST_AMBIENT_S:g} s of ambient motion, or a ring-down"
-                )
-            kind = "ambient"
-        else:
-            kind = "ring-down"
-    elif start is not None:
-        swings_seen, error = _ring_down(swings, start, band_hz)
-        kind = "ring-down"
-        if not error <= _POOR_FIT:
-            swings_seen, kind = _ambient(swings, band_hz), "ambient"
+        swings_seen, kind = _of_short(swings, record.source, band_hz)
     else:
-        swings_seen, kind = _ambient(swings, band_hz), "ambient"
+        swings_seen, error = [], 1.0
+        if start is not None:
+            swings_seen, error = _ring_down(swings, start, band_hz, since=start)
+        kind = "ring-down" if error <= _POOR_FIT else "ambient"
+        if kind == "ambient":
+            swings_seen = _ambient(swings, band_hz)
     swings_seen = [_named(s, modes) for s in swings_seen]
     return Meter(
         record.source, record.length_s, swings.quantity, swings.unit, kind, tuple(swings_seen),
         (*record.notes, *swings.notes),
     )  # fmt: skip
+
+
+def _of_short(swings: Swings, source: str, band_hz: tuple[float, float]) -> tuple[list[Swing], str]:
+    """Return the swings of a record without a disturbance that stands out, and the kind: a minute or so."""
+    start = int(np.argmax(np.abs(swings.combined).max(axis=1)))
+    error = 1.0
+    if start < 0.5 * len(swings.combined):  # near the end many poles fit the little that is left
+        swings_seen, error = _ring_down(swings, start, band_hz, since=0)
+        if error <= _POOR_FIT and any(s.kind == MODAL for s in swings_seen):
+            return swings_seen, "ring-down"
+    lines = [s for s in _ambient(swings, band_hz) if s.kind != MODAL]
+    if not lines:
+        raise RecordError(
+            f"{source}: {swings.length_s:.4g} s without a disturbance that rings down (misfit {error:.0%}) "
+            "and without a forced line are too short for a damping ratio, wanted: "
+            f"{LEAST_AMBIENT_S:g} s of ambient motion, or a ring-down"
+        )
+    return lines, "ambient"
 
 
 def _jolt(swings: Swings) -> int | None:
@@ -134,33 +140,72 @@ def _jolt(swings: Swings) -> int | None:
     return int(np.argmax(size)) if windows.max() > _JOLT * np.median(windows) else None
 
 
-def _ring_down(swings: Swings, start: int, band_hz: tuple[float, float]) -> tuple[list[Swing], float]:
-    """Return the modes of the ring-down from a point on, as a run's is taken, and the misfit."""
+def _ring_down(
+    swings: Swings, start: int, band_hz: tuple[float, float], *, since: int
+) -> tuple[list[Swing], float]:
+    """Return the swings of the ring-down from a point on, as a run's is taken, and the misfit.
+
+    One that neither decays nor grows is no ring-down: it is a forced line, which is taken out before what is
+    left is looked at again, or undecided. since : the point from which a line may stand.
+    """
     skip = start + round(0.25 / swings.step_s)
-    values = swings.raw[skip:] - swings.raw[skip:].mean(axis=0)
-    if not len(values) * swings.step_s >= _LEAST_RING_S:
+    if not (len(swings.raw) - skip) * swings.step_s >= _LEAST_RING_S:
         return [], 1.0
+    values = swings.raw[skip:] - swings.raw[skip:].mean(axis=0)
     moving = values.std(axis=0) > 0.0
     time = swings.step_s * np.arange(len(values), dtype=np.float64)
     fit = m.ring_down(time, values[:, moving])
     if not fit.good:
         fit = m.robust_ring_down(time, values[:, moving], fit, [])
     poles = np.array([mode.pole for mode in fit.modes], dtype=complex)
+    sizes = [float(np.max(np.abs(mode.amplitudes))) for mode in fit.modes]
+    least = _LEAST_STRENGTH * max(sizes, default=0.0)
+    seen = [
+        (k, mode, size)
+        for k, (mode, size) in enumerate(zip(fit.modes, sizes, strict=True))
+        if band_hz[0] <= mode.frequency_hz <= band_hz[1] and size >= least
+    ]
+    stands = [mode.frequency_hz for _, mode, _ in seen if _stands(mode.pole)]
+    if lines := _forced_at(swings, since, band_hz, stands):
+        rest, misfit = _ring_down(_left_by(swings, lines), start, band_hz, since=since)
+        forced = [_of_line(swings, line) for line in lines]
+        return [*forced, *(rest if misfit <= _POOR_FIT else [])], fit.error
     spread = _spread(time, values[:, moving], poles)
-    top = max((float(np.max(np.abs(mode.amplitudes))) for mode in fit.modes), default=0.0)
-    swings_seen = []
-    for k, mode in enumerate(fit.modes):
-        size = float(np.max(np.abs(mode.amplitudes)))
-        if not (band_hz[0] <= mode.frequency_hz <= band_hz[1] and size >= _LEAST_STRENGTH * top):
-            continue
+
+    def swing(k: int, mode: m.RingDownMode, size: float) -> Swing:
         amplitudes = np.zeros(len(moving), complex)
         amplitudes[moving] = mode.amplitudes
-        estimate = _with_spread(mode.pole, spread[k])
+        shape = _shape(swings, amplitudes)
+        if _stands(mode.pole):
+            why = f"damped by less than {LEAST_DAMPING:g}: a mode that hardly decays, or a forced line"
+            return Swing(mode.frequency_hz, UNDECIDED, size, (), shape, why)
         why = f"rings down; misfit {fit.error:.1%} of the largest value"
-        swings_seen.append(
-            Swing(mode.frequency_hz, MODAL, size, (estimate,), _shape(swings, amplitudes), why)
-        )
-    return swings_seen, fit.error
+        return Swing(mode.frequency_hz, MODAL, size, (_with_spread(mode.pole, spread[k]),), shape, why)
+
+    return [swing(*each) for each in seen], fit.error
+
+
+def _left_by(swings: Swings, lines: Sequence[Line]) -> Swings:
+    """Return signals less forced lines and their harmonics."""
+    taken = [line.frequency_hz * k for line in lines for k in (1, *line.harmonics)]
+    raw, combined = (without(each, swings.step_s, taken) for each in (swings.raw, swings.combined))
+    return replace(swings, raw=raw, combined=combined)
+
+
+def _stands(pole: complex) -> bool:
+    return abs(pole.real) < LEAST_DAMPING * abs(pole)
+
+
+def _forced_at(
+    swings: Swings, since: int, band_hz: tuple[float, float], frequencies_hz: Sequence[float]
+) -> list[Line]:
+    """Return the forced lines at given frequencies from a point on."""
+    lines = lines_of(swings.combined[since:], swings.step_s, band_hz) if frequencies_hz else []
+    return [
+        line
+        for line in lines
+        if line.kind == FORCED and any(abs(line.frequency_hz - f) < line.width_hz for f in frequencies_hz)
+    ]
 
 
 def _spread(time: Array, values: Array, poles: npt.NDArray[np.complex128]) -> Array:

@@ -100,6 +100,32 @@ def test_a_line_is_forced_and_gets_no_damping_ratio(f: float, length_s: float) -
     assert "damping_ratio" not in json.dumps(result.as_dict()["swings"][0])
 
 
+@pytest.mark.parametrize("f", [0.28, 0.72, 1.1])
+@pytest.mark.parametrize("phase", [0.0, 1.0, 2.0])
+def test_a_line_does_not_ring_down(f: float, phase: float) -> None:
+    """Damped poles fit a large sine closely from wherever it is largest; it does not decay."""
+    quiet = ambient(1, 60.0)
+    size = 5.0 * quiet.values.std(axis=0).max()
+    sine = size * np.outer(np.cos(2 * np.pi * f * quiet.time_s + phase), [0.7, -0.7, -0.5, 1.0])
+    result = meter(Record("sine", quiet.time_s, quiet.values + sine, quiet.channels))
+    assert [(s.kind, s.estimates) for s in result.swings] == [("forced", ())]
+    assert result.kind == "ambient"
+
+
+def test_what_stands_beside_a_ring_down_is_taken_out_of_it() -> None:
+    time = 0.1 * np.arange(600)
+    w, z = 2 * np.pi * F, Z
+    rings = 40.0 * np.exp(-z * w * (time - 5.0)) * np.cos(w * (time - 5.0)) * (time >= 5.0)
+    line = 3.0 * np.cos(2 * np.pi * 0.9 * time)
+    quiet = ambient(2, 60.0)
+    noise = 0.02 * (quiet.values - quiet.values.mean(axis=0))
+    values = noise + np.outer(rings, [1.0, 0.7, -0.6, -0.5]) + np.outer(line, [0.2, 1.0, 0.1, -0.3])
+    swings = meter(Record("both", time, values, quiet.channels)).swings
+    assert {(s.kind, round(s.frequency_hz, 2)) for s in swings} == {("modal", 0.55), ("forced", 0.9)}
+    (mode,) = [s for s in swings if s.kind == "modal"]
+    assert mode.estimates[0].damping_ratio == pytest.approx(z, abs=0.002)
+
+
 @pytest.mark.slow
 def test_harmonics_that_stand_are_told_and_the_mode_beside_a_line_is_metered() -> None:
     result = meter(with_sine(ambient(4, 600.0), 0.8, 1.5, {3: 0.4}), band_hz=(0.1, 2.8))
