@@ -139,17 +139,20 @@ class LoopFunction:
         direct = DelayedPath()
         return Characteristic(self._G, self._K, [paths.get(name, direct) for name in self.signals], gain)
 
-    def modes(self, paths: Mapping[str, DelayedPath], open_loop: Mapping[str, complex]) -> LoopModes:
+    def modes(
+        self, paths: Mapping[str, DelayedPath], open_loop: Mapping[str, complex], *, left: float = _LEFT
+    ) -> LoopModes:
         """Return all swings of the loop, and what became of the modes of the open one.
 
-        open_loop : mode -> its eigenvalue, 1/s.
+        open_loop : mode -> its eigenvalue, 1/s. left : 1/s, roots that decay faster are not listed; a large
+            grid has so many of them there, close together, that not all may be told apart.
 
         Raises
         ------
         DelayError : roots found and roots counted differ.
         """
         named = self._followed(paths, open_loop)
-        roots = zeros_of(self.loop(paths), self.poles, (_LEFT, _RIGHT), _band(), list(named.values()))
+        roots = zeros_of(self.loop(paths), self.poles, (left, _RIGHT), _band(), list(named.values()))
         return LoopModes(tuple(sorted(map(complex, roots), key=damping_ratio)), named)
 
     def _followed(
