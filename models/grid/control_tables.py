@@ -16,7 +16,7 @@ from ..devices.language.expression import Node
 from ..devices.language.structure import Model
 from ..devices.rest import BEYOND, RestPoint, rest_of
 from ..errors import DeviceError
-from .coupling import AtRest, BusPoint, Coupling, coupling_of, model_at_bus
+from .coupling import AtRest, Coupling, coupling_of, model_at_bus, output_and_given
 from .machine_tables import NETWORK, MachinePoint, State
 
 SHORTEST_S = 1e-6  #: least value a time constant may be set to
@@ -306,11 +306,7 @@ def rests_of(
         kind, share = model.device.kind, row_at.base_mva / case.base_mva
         who = f"{case.name}: {table_of(kind)}.{row_at.name}.control"
         numbers = control_numbers(model, row_at.control, row_at.base_mva, case.frequency_hz)
-        if isinstance(bus, BusPoint) and kind == "source":
-            behind = complex(float(numbers["Re"]), float(numbers["Xe"]))
-            output, given = bus.output(kind, share, behind), bus.given(kind, share, behind)
-        else:
-            output, given = bus.output(kind, share), bus.given(kind, share)
+        output, given = output_and_given(bus, kind, share, numbers)
         rest = _rest_of(model, numbers, given, output, who, row_at.name, "control", room)
         rests.append((k, kind, rest))
         for key, value in _seen_at_bus(kind, bus.seen, output, given).items():

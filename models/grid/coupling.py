@@ -81,10 +81,25 @@ class Coupling:
     gain: tuple[float, float] = (-2.0, -1.0)  #: voltages between which its active current rises from 0
     taken: tuple[float, float, float] = (1e3, 0.0, -1e3)  #: voltage above which, how much, not below
     direction: bool = False  #: whether a converter sees the direction of its voltage
+    shunt: float = 0.0  #: of a converter behind an impedance: its active current less by the voltage
     values: Mapping[str, float] = field(default_factory=dict)  #: of a dc link or source: those of its device
 
 
 AtRest = BusPoint | LinkPoint | VscPoint  #: a device at a bus, or between two, at rest
+
+
+def output_and_given(
+    bus: AtRest, kind: str, share: float, numbers: Mapping[str, float | str]
+) -> tuple[float, dict[str, float]]:
+    """Return what a device at rest gives, and what it sees with its other states, pu of its base."""
+    if isinstance(bus, BusPoint) and kind == "source":
+        behind = complex(float(numbers["Re"]), float(numbers["Xe"]))
+        return bus.output(kind, share, behind), bus.given(kind, share, behind)
+    output, given = bus.output(kind, share), bus.given(kind, share)
+    if isinstance(bus, BusPoint) and kind == "converter":
+        y = behind_impedance(numbers)
+        output, given["iq"] = output + y.real * bus.own, given["iq"] - y.imag * bus.own
+    return output, given
 
 
 def model_at_bus(row: Svc | Converter | Hvdc | Vsc, own: Mapping[str, Model]) -> Model:
@@ -164,7 +179,8 @@ def coupling_of(instance: Instance) -> Coupling:
         return Coupling(state, 1.0, 0.0, states[1], values=instance.values)
     if len(states) > 1:
         seen = frozenset[str]().union(*instance.depends_on()[0].values())
-        return Coupling(state, 1.0, 0.0, states[1], *_port_numbers(instance), bool({"vr", "vi"} & seen))
+        sees, shunt = bool({"vr", "vi"} & seen), behind_impedance(instance.values).real
+        return Coupling(state, 1.0, 0.0, states[1], *_port_numbers(instance), sees, shunt)
     if state == device.output:
         return Coupling(state, 1.0, 0.0)
     node = next(line.node for line in device.lines if line.name == device.output)
@@ -172,9 +188,19 @@ def coupling_of(instance: Instance) -> Coupling:
     return Coupling(state, float(evaluate(node, instance.values | {state: 1.0})) - bias, bias)
 
 
+def behind_impedance(numbers: Mapping[str, float | str]) -> complex:
+    """Return the admittance, pu of its base, behind which a converter is a voltage (REGC_B); 0: a current."""
+    if numbers.get("REGCB") != 1.0:
+        return 0j
+    return 1.0 / complex(float(numbers["Re"]), float(numbers["Xe"]))
+
+
 def _port_numbers(instance: Instance) -> tuple[tuple[float, float], tuple[float, float, float]]:
     """Voltages of the gain of the active current; voltage, gain and least value of the reactive one."""
     at, no = instance.values, Coupling("", 1.0, 0.0)
+    y = behind_impedance(at)
+    if y:
+        return no.gain, (0.0, -y.imag, no.taken[2])
     gain = (at["Lvpnt0"], at["Lvpnt1"]) if {"Lvpnt0", "Lvpnt1"} <= at.keys() else no.gain
     taken = no.taken
     if {"Volim", "Khv"} <= at.keys() and at["Khv"] > 0.0:
@@ -224,6 +250,7 @@ def device_ports(
             level, slope, least = c.taken
             rows[-1] += [state_names.index(f"{svc.name}.{c.second}"), share * at_rest[c.second]]
             rows[-1] += [*c.gain, level, share * slope, share * least, float(c.direction)]
+            rows[-1] += [0.0, share * c.shunt]
         if not here:
             rows.append([k, 1.0, index[svc.seen_bus], state, 0.0, 0.0, NOTHING, 0.0, k + 1.0, LOW_PU])
     return rows

@@ -39,17 +39,18 @@ SOURCE = "source"  #: kind of those that are a voltage behind ZR + jZX of the RA
 SVC = "svc"  #: kind of the devices of units that are SVCs
 WHOLE = "DERA1"  #: a record that is a converter by itself
 #: of another converter: one record of each
-_PARTS = ((("REGCA1",), "is the converter itself"), (("REECB1", "REECA1", "REECC1"), "sets its currents"))
+_ORDERS = ("REECB1", "REECA1", "REECC1")
+_PARTS = ((("REGCA1", "REGCB1"), "is the converter itself"), (_ORDERS, "sets its currents"))
 _CURRENTS = "; --converters current takes converters as constant currents"
 
 #: why these are not modelled
 _LOAD = "a load of many motors and electronics, which LOAD of the RAW stands for"
-_WIND = "the drive train of a wind plant, which acts through PFLAG and Pref of its electrical control"
 _OVER = "an over-excitation limiter; left out, nothing takes a field above its rating back, seconds later"
 _UNDER = "an under-excitation limiter; left out, nothing stops a machine that takes too much Q"
 _WHY = {
     **dict.fromkeys(("CMLDBLU1", "CMLDBLU2", "ACMTBLU1", "CIM5BL", "CIM6BL", "CLODBL"), _LOAD),
-    **dict.fromkeys(("WTDTA1", "WTARA1", "WTPTA1", "WTTQA1"), _WIND),
+    "WTDTA1": "the drive train of a wind turbine, whose speed acts by PFLAG = 1 of REECA1 or a WTTQA1",
+    **dict.fromkeys(("WTARA1", "WTPTA1", "WTTQA1"), "wind, pitch or torque of a turbine, by its WTDTA1"),
     **dict.fromkeys(("MAXEX1", "OEL1B"), _OVER),
     **dict.fromkeys(("MNLEX1", "MNLEX2", "UEL1", "UEL2"), _UNDER),
     "REGCC1": "a converter with an inner current loop and a phase-locked loop",
@@ -66,8 +67,7 @@ RELAYS = frozenset(
     {
         *("LDSHBL", "LVSHBL", "LDS3BL", "LVS3BL", "LDST", "UVLSBL", "VTGTPA", "VTGDCA", "FRQTPA", "FRQDCA"),
         *("VTGTPAT", "VTGDCAT", "FRQTPAT", "FRQDCAT", "DISTR1"),
-        *("RXR1", "CIROS1", "SLNOS1", "SLYPN1", "SCGAP2"),
-        *("TIOCR1", "TIOCRS", "DPDTR1", "BUSFREQ"),
+        *("RXR1", "CIROS1", "SLNOS1", "SLYPN1", "SCGAP2", "TIOCR1", "TIOCRS", "DPDTR1", "BUSFREQ"),
     }
 )
 

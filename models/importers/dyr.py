@@ -18,6 +18,7 @@ from .raw.text import read_lines, split_record
 #: user-written models that are a plain one under another name
 PLAIN = {
     "REGCAU1": "REGCA1",
+    "REGCBU1": "REGCB1",
     "REECAU1": "REECA1",
     "REECBU1": "REECB1",
     "REECCU1": "REECC1",

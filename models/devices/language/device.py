@@ -77,7 +77,7 @@ KINDS: dict[str, Kind] = {
         ("pref", "qref"),
         "active current `ip` and reactive current `iq` of a converter, pu of its base",
         ("iq",),
-        ("Lvpnt0", "Lvpnt1", "Volim", "Khv", "Iolim"),
+        ("Lvpnt0", "Lvpnt1", "Volim", "Khv", "Iolim", "REGCB", "Re", "Xe"),
     ),
     "hvdc": Kind(
         {
@@ -285,5 +285,7 @@ class Device:
         """Return whether the ranges alone say that the parameter or number `node` is above 0."""
         if node.op == "number":
             return node.value > 0.0
+        if node.op == "pick":
+            return all(self.always_positive(part) for part in node.args[1:])
         p = self.by_name.get(node.name) if node.op == "name" else None
         return p is not None and (p.low > 0.0 or (p.low == 0.0 and p.open))

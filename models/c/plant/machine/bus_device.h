@@ -7,7 +7,8 @@
  *     susceptance (SVC)       I = -j y V
  *     current (STATCOM)       I = -j y V/u,   u = max(|V|, P_LOW)
  *     converter (REGC_A)      I = (g(|V|) ip - j (iq - h(|V|))) V/u, ip and iq two states times scale: g rises from
- *                             0 at P_ZERO to 1 at P_FULL, h by P_TAKEN above P_HIGH, where iq - h stops at P_LEAST
+ *                             0 at P_ZERO to 1 at P_FULL, h by P_TAKEN above P_HIGH, where iq - h stops at P_LEAST;
+ *                             of REGC_B, E/(R + jX) by both states and V taken off by P_SHUNT and P_TAKEN;
  *                             of a dc link with such converters both ends, the second with P_FAR
  *     rectifier, inverter     the ends of a dc link (dc_link.h)
  *     source (REGFM_A1)       I = (E - V)/(R + jX), E by two states, its angle and its size; beyond P_MOST that much
@@ -40,7 +41,7 @@ static inline void converter_current(const real *row, num ip, num iq, num v, num
     const num part = num_ratio(v - zero, full - zero), less = iq - row[P_TAKEN] * (v - high);
     const num some = num_pick(num_above(v, zero), part * ip, NUM(0.0));
 
-    *along = num_pick(num_above(full, v), some, ip);
+    *along = num_pick(num_above(full, v), some, ip) - row[P_SHUNT] * v;
     *across = -num_pick(num_above(v, high), num_pick(num_above(least, less), num_pick(num_above(iq, least), least, iq), less), iq);
 }
 
@@ -113,7 +114,7 @@ static inline void converter_slope(const double *row, double ip, double iq, doub
     double along, across;
 
     converter_current(row, ip, iq, v, &along, &across);
-    bus_device_turned(along, across, rises ? ip * per : 0.0,
+    bus_device_turned(along, across, (rises ? ip * per : 0.0) - row[P_SHUNT],
                       taken && -across > row[P_LEAST] && row[P_TAKEN] > 0.0 ? row[P_TAKEN] : 0.0, v_re, v_im, row[P_LOW], d);
 }
 

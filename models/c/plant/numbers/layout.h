@@ -72,7 +72,8 @@ enum {  /* the same rows at the port of a device at a bus (bus_device.h) */
     P_TAKEN,            /* and how much by voltage, system base         */
     P_LEAST,            /* but not below this, system base              */
     P_DIRECTION,        /* 1 where its device sees the direction of the voltage */
-    P_FAR               /* 1 at the second end of a dc link with such converters */
+    P_FAR,              /* 1 at the second end of a dc link with such converters */
+    P_SHUNT             /* by how much the voltage takes active current off, system base: of a voltage behind an impedance */
 };
 enum {  /* the same rows at a voltage source; P_STATE is that of its angle, P_STATE_Q that of its voltage */
     P_COND = P_ZERO,    /* 1/(R + jX) of its impedance, system base     */

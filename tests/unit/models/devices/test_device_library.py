@@ -37,6 +37,7 @@ OUTPUT = {
 #: fields of a typical record; public data and the examples of the standards
 RECORDS = {
     "REGCA1": "1 0.02 10 0.9 0.4 1.22 1.2 0.8 0.4 -1.3 0.02 0.7 99 -99 0.7",
+    "REGCB1": "1 0 0.02 0.02 99 -99 10 0.01 1.3",
     "REECB1": "0 0 1 1 0 0.85 1.2 0.02 -0.05 0.05 1 1.1 -1.1 1 0.05 0.44 -0.44 1.1 0.9 0 0.1 1 40 0.02 "
     "9 -9 1 0 1.1 0.02",
     "REECA1": "0 0 1 1 0 0 0.85 1.2 0.02 -0.05 0.05 1 1.1 -1.1 1 0 0 0 0.05 0.44 -0.44 1.1 0.9 0 0.1 1 40 "
@@ -148,11 +149,16 @@ def complete(model, given):
     }
 
 
+def model_xe(model):
+    return next(p.default for p in model.device.parameters if p.name == "Xe")
+
+
 def at_rest(name):
     model, given = TYPICAL[name]
     kind = model.device.kind
     inputs = {key: SEEN[key] for key in KINDS[kind].inputs}
-    inputs |= {"iq": SEEN["q"]} if kind == "converter" else {}
+    behind = 1.0 / model_xe(model) if given.get("REGCB") == 1.0 else 0.0  # its states are E/(jXe)
+    inputs |= {"iq": SEEN["q"] + behind} if kind == "converter" else {}
     inputs |= {"iord": 1.0, "xr": 0.3, "xi": 0.3} if kind == "hvdc" else {}
     inputs |= {"e": 1.05} if kind == "source" else {}
     inputs |= {"iq1": 0.1, "ip2": 0.5, "iq2": 0.1} if kind == "vsc" else {}
