@@ -186,7 +186,7 @@ class _Structure:
                 for target, factor, offset in self.targets(mapping, name, where):
                     end = self.end_of(target, where)
                     self.same_unit(typed.get("unit"), end)
-                    value = self.value(typed, f"{where} parameter {name}")
+                    value = self.value(typed, f"{where} parameter {name}".strip())
                     self.values[end] = factor * float(value) + offset if (factor, offset) != (1, 0) else value
 
     def targets(self, mapping: Any, name: str, where: str) -> Iterator[tuple[str, float, float]]:
@@ -230,7 +230,7 @@ class _Structure:
                 return {"true": True, "1": True, "false": False, "0": False}[text]
             return float(text) if kind == "Real" else int(text) if kind == "Integer" else text
         except (KeyError, ValueError):
-            raise self.error(where, f"{text!r}", f"a {kind}") from None
+            raise self.error(where, f"{text!r}", f"a value of type {kind}") from None
 
     def table(self) -> dict[str, Any]:
         """Return the FMUs with their start values, and the connections, as a scenario has them."""

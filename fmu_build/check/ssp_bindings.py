@@ -196,7 +196,7 @@ class Bindings:
                 self.report.add(
                     "SSP parameters",
                     place,
-                    f"a {of_target.kind} that cannot be set",
+                    f"{of_target.kind}, which cannot be set",
                     "set a parameter or input",
                 )
         else:
@@ -210,7 +210,7 @@ class Bindings:
             self.report.add(
                 "SSP parameters",
                 place,
-                f"a {'constant' if constant else v.causality} that cannot be set",
+                f"{'constant' if constant else v.causality}, which cannot be set",
                 "set a parameter or input",
             )
 
@@ -259,5 +259,6 @@ class Bindings:
                 return None
             name = file.relative_to(self.folder.resolve()).as_posix()
             root = read_xml(file, name, self.report)
-            return root if root is not None and obeys_schema(root, schema, name, self.report) else None
-        return holder.find(f"{inline}/{tag}") if inline else holder.find(tag)
+        else:  # the schema of the structure lets anything stand here
+            name, root = where, holder.find(f"{inline}/{tag}" if inline else tag)
+        return root if root is not None and obeys_schema(root, schema, name, self.report) else None

@@ -112,7 +112,7 @@ WRONG = {
         "mapping of gian: the parameter set has no such parameter",
     ),
     "target with two sources": ([entry("gain", "a.x0")] * 2, "mapping to a.x0: has two sources"),
-    "an output": ([entry("gain", "a.y")], "parameter a.y: a output that cannot be set"),
+    "an output": ([entry("gain", "a.y")], "parameter a.y: output, which cannot be set"),
     "a transformation of another type": (
         [entry("gain", "a.x0", FLAG)],
         "BooleanMappingTransformation of Real",
@@ -178,6 +178,30 @@ def test_a_value_of_the_wrong_type_or_given_twice_is_found(misbehaving: Path, tm
     assert "is given twice in one set" in said(
         archive(tmp_path, [misbehaving], binding(), elements=PAIR, values=twice)
     )
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [
+        ('<ssv:Real value="abc"/>', "'abc' is not a valid value"),
+        ('<ssv:Integer value="1.5"/>', "'1.5' is not a valid value"),
+        ("", "Missing child element"),
+        ('<ssv:Real value="2"/>', ""),
+    ],
+)
+def test_a_set_inside_the_structure_obeys_the_schema_of_sets(
+    misbehaving: Path, tmp_path: Path, value: str, words: str
+) -> None:
+    """The schema of the structure lets anything stand there."""
+    inside = (
+        "<ssd:ParameterBindings><ssd:ParameterBinding><ssd:ParameterValues>"
+        f'<ssv:ParameterSet xmlns:ssv="{NS}SystemStructureParameterValues" version="1.0" name="p">'
+        f'<ssv:Parameters><ssv:Parameter name="x0">{value}</ssv:Parameter></ssv:Parameters>'
+        "</ssv:ParameterSet></ssd:ParameterValues></ssd:ParameterBinding></ssd:ParameterBindings>"
+    )
+    elements = component("a", inside=inside) + component("b")
+    findings = [f.line() for f in archive(tmp_path, [misbehaving], "", elements=elements).findings]
+    assert words in " ".join(findings) and (words or not findings)
 
 
 def test_units_that_only_the_fmus_state_are_compared(misbehaving: Path, tmp_path: Path) -> None:
