@@ -70,7 +70,9 @@ def test_how_far_the_plant_is_from_pstess(linear):
 
 
 @pytest.mark.slow
-def test_the_case_stands_still_for_20_s(plant):
+@pytest.mark.parametrize("name", ["mini-wecc", "mini-wecc-dc"])
+def test_the_case_stands_still_for_20_s(name):
+    plant = BlockShim(plant_block(load_case(name)))
     _, x, _ = plant.run(20.0, 0.005)
     swinging = [k for k, name in enumerate(plant.state_names) if not name.endswith(".delta")]
     assert np.max(np.abs(x[:, swinging] - x[0, swinging])) < 1e-12
