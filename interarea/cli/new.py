@@ -147,9 +147,11 @@ def device(
             typer.echo(_described(model))
         for name in drawn:
             typer.echo(name, err=json_)
-        raise UserError(
-            f"{model.device.name}: no value for {', '.join(lacking)}; give --set {lacking[0]}=..."
-        )
+        lack = f"{model.device.name}: no value for {', '.join(lacking)}; give --set {lacking[0]}=..."
+        if parameters or point or json_:
+            raise UserError(lack)
+        note(f"diagram only: {lack}")  # nothing was asked for that needs values
+        return
     response = response_of(model, parameters, point, base_mva=base_mva, stop_s=stop_s)
     if json_:
         typer.echo(json.dumps(_document(model, response, drawn), indent=2, allow_nan=False))

@@ -104,6 +104,12 @@ def test_the_command_shows_a_users_device(tmp_path, monkeypatch, capsys):
     assert sorted(p[0] for p in document["poles"]) == pytest.approx([-20.0, -0.1])
     code, _, err = call(file, *sets)
     assert code == 2 and "no value for EMIN, EMAX; give --set EMIN=" in err
+    drawing = tmp_path / "sexs.svg"
+    code, out, err = call(
+        "sexs", "--draw", drawing
+    )  # a line of docs/reference.md: no values, the diagram alone
+    assert code == 0 and drawing.is_file() and "efd = lag(lead_lag, TE" in out and "diagram only" in err
+    assert call("sexs", "--set=K=100")[0] == 2 and call("sexs", "--json")[0] == 2
     assert call("sex")[0] == 2 and call(file, "--set", "KA=x")[0] == 2
     code, out, _ = call(file, *sets, "--set=EMIN=-5", "--set=EMAX=5")
     assert code == 0 and re.search(r"efd within -5 \.\. 5: 3\.2 away", out)
