@@ -6,19 +6,21 @@ Every part is kept in the cache by the hash of what it came from: what is stoppe
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from interarea.design.certificates.mode_changes import ModeChange
 from interarea.design.controllers.controller import Controller
 from interarea.design.errors import InfeasibleDesign
+from interarea.design.robust.operating_points import inter_area_band, judge_family
 from interarea.fmu_build.write.cache import cached_json, code_hash, content_hash
 from interarea.models.case.case import Case
 from interarea.models.errors import InterareaError
 
 from ..designs.design_file import DESIGN_STEPS, DesignTable, run_design
+from ..designs.family import FamilyPlant, at_point
 from ..errors import machine_error
 from .beside_local import beside_local, leaves_something
 from .choices import Choices
@@ -36,6 +38,9 @@ DESIGN_STAGES = (
     "faults",
 )  #: of `design_grid`
 TRIED_SETS = 3  #: sets of loops for which a whole design is searched, at most
+#: operating points that one design takes up after its search, at most: each costs another search
+TAKEN_UP = 2
+GAINED = 1e-3  #: damping ratio that such a search must add: less is not seen in the three digits of a page
 
 Report = Callable[[str, float], object]
 
@@ -192,8 +197,9 @@ def design_for(
                 raise
             problem = str(error)
             continue
+        first_try = GridDesign(proposal, controller)
+        designs.append(_with_worst_points(first_try, cache, clock, lambda share: report(search, share)))
         report(search, 1.0)
-        designs.append(GridDesign(proposal, controller))
         if designs[-1].certificate["passed"]:
             designs[-1] = _with_faults(
                 designs[-1], cache, clock, weakest, lambda share: report(faults, share)
@@ -208,6 +214,97 @@ def design_for(
     report(search, 1.0)
     report(faults, 1.0)
     return best.because(_without_time(clock))
+
+
+def left_out_rows(
+    proposal: Proposal, controller: Controller, cache: Path, clock: Clock, stage: str
+) -> list[dict[str, Any]]:
+    """Judge a controller at operating points that were tried and are not in its design.
+
+    Rows as those of a certificate, as JSON values. stage : of `clock`, at the end of which no more is judged.
+    """
+    table, rows = proposal.table, []
+    for row in proposal.left_out:
+        if clock.over(stage):
+            clock.leave(f"the controller at {row.point.name}, which is not in its design")
+            continue
+        case = at_point(table.grid, row.point)
+
+        def made(name: str = row.point.name, case: Case = case) -> list[dict[str, Any]]:
+            plant = FamilyPlant.of(case, table.signals, table.actuators, cache)
+            band = inter_area_band(plant.modes)
+            judged = judge_family(
+                {name: plant.judged}, controller.system, table.family(), bands_hz={name: band}
+            )
+            return [asdict(one) for one in judged.rows]
+
+        key = content_hash(
+            case.hash,
+            table.model_dump(mode="json"),
+            controller.as_dict(),
+            code_hash(judge_family.__module__),
+        )
+        rows += cached_json(cache, "grid-left-out", key, made)
+    return rows
+
+
+def least_held(rows: Sequence[Mapping[str, Any]]) -> float:
+    """Return the least inter-area damping ratio of rows of a certificate; -1 where a loop is unstable.
+
+    >>> least_held([{"stable": True, "inter_area": 0.2}, {"stable": False, "inter_area": 0.1}])
+    -1.0
+    """
+    return min((float(row["inter_area"]) if row["stable"] else -1.0 for row in rows), default=1.0)
+
+
+def _with_worst_points(
+    design: GridDesign, cache: Path, clock: Clock, progress: Callable[[float], object]
+) -> GridDesign:
+    """Take up the operating point at which a design holds least, where that is none of its own.
+
+    It is searched for again with that point, and what comes out is taken where it holds more over the points
+    of both. A point counts where the design holds less there than it is asked for and than at its own points.
+    """
+    also: list[str] = []
+    lines: list[str] = []
+    while len(also) < TAKEN_UP and not clock.over("search"):
+        name, reached = _worst_outside(design, cache, clock)
+        if not name:
+            break
+        also.append(name)
+        lines.append(f"Taken up: {name}, where the design without it holds {reached:.3f}.")
+        again = _searched_with(design.proposal, also, cache, clock, progress)
+        if again is None or not least_held(again.certificate["rows"]) > reached + GAINED:
+            break
+        design = again.because(tuple(lines))
+    return design
+
+
+def _worst_outside(design: GridDesign, cache: Path, clock: Clock) -> tuple[str, float]:
+    """Return the point that is not in a design and counts, and what is held there; "" for none."""
+    outside = left_out_rows(design.proposal, design.controller, cache, clock, "search")
+    worst = min(outside, key=lambda row: least_held([row]), default=None)
+    if worst is None:
+        return "", 1.0
+    inside, reached = least_held(design.certificate["rows"]), least_held([worst])
+    counts = reached < min(inside, design.proposal.table.ask.inter_area)
+    return str(worst["point"]) if counts else "", reached
+
+
+def _searched_with(
+    proposal: Proposal, also: Sequence[str], cache: Path, clock: Clock, progress: Callable[[float], object]
+) -> GridDesign | None:
+    """Search for a design again with more points; None where no controller comes out."""
+    table = proposal.table
+    wider = propose(
+        proposal.findings, proposal.taken, cache, clock, name=table.name, case=table.case, also=also
+    )
+    try:
+        return GridDesign(wider, _searched(wider.table, cache, progress))
+    except InterareaError as error:
+        if machine_error(error) is not None:
+            raise
+        return None
 
 
 def _without_time(clock: Clock) -> tuple[str, ...]:

@@ -135,20 +135,25 @@ def find(
 
 
 def propose(
-    findings: Findings, taken: ShortDesign, cache: Path, clock: Clock, *, name: str = "", case: str = ""
+    findings: Findings,
+    taken: ShortDesign,
+    cache: Path,
+    clock: Clock,
+    *,
+    name: str = "",
+    case: str = "",
+    also: Sequence[str] = (),
 ) -> Proposal:
     """Make a design for one set of loops.
 
     clock : says how long its search may take. name : of the controller, default that of the case. case : what
-    the design file names it by.
+    the design file names it by. also : operating points that were tried and are to be in it.
     """
     weak, candidates, choices = findings.weak, findings.points, findings.weak.choices
     parts = {a: _signals(weak, a, s) for a, s in taken.chosen.loops.items()}
     signals = tuple(dict.fromkeys(s for seen in parts.values() for s in seen))
     conditions = _conditions(signals, choices.latencies_ms)
-    chosen = chosen_points(candidates)
-    if weak.plant.nstates > DENSE_STATES:
-        chosen = chosen[: max(LARGE_ROWS // len(conditions), 2)]
+    chosen = _points(findings, len(conditions), also)
     names = {point.name for point in chosen}
     acceptance = acceptance_of(weak, candidates, chosen, RUNS // (1 + len(signals)))
     guard = _guard(weak, acceptance, parts, cache)
@@ -190,6 +195,15 @@ def propose(
     table = design_of(keys, where=f"the design made for {weak.case.name}")
     table._grid = weak.case
     return Proposal(table, findings, taken, (*_reasons(findings, taken, names), *_kept(chosen)))
+
+
+def _points(findings: Findings, conditions: int, also: Sequence[str]) -> tuple[PointTable, ...]:
+    """Return the operating points of a design: as many as a large grid can have, and those named."""
+    chosen = chosen_points(findings.points)
+    if findings.weak.plant.nstates > DENSE_STATES:
+        chosen = chosen[: max(LARGE_ROWS // conditions, 2)]
+    more = [row.point for row in findings.points if row.point.name in also and row.point not in chosen]
+    return (*chosen, *more)
 
 
 def _short_designs(

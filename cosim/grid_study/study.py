@@ -22,12 +22,19 @@ from interarea.models.errors import InterareaError
 from interarea.models.files import write_whole
 
 from ..designs.design_file import DesignTable
-from ..designs.family import FamilyPlant, at_point
+from ..designs.family import FamilyPlant
 from ..designs.worth import design_rival, has_rival, with_rival, worth
 from ..errors import ScenarioError, machine_error
 from ..run.artefacts import plant_fmu
 from ..run.controllers import controller_fmu
-from .automatic import DESIGN_STAGES, GridDesign, Report, design_of_findings, findings_of
+from .automatic import (
+    DESIGN_STAGES,
+    GridDesign,
+    Report,
+    design_of_findings,
+    findings_of,
+    left_out_rows,
+)
 from .choices import WEAK, Choices
 from .clock import Clock
 from .page import mode_shapes, write_page
@@ -124,7 +131,7 @@ def study_grid(
             else:
                 study["latency"] = _over_latency(table, controller, cache)
                 written()
-            study["left_out"] = _left_out(done.proposal, controller, cache, clock)
+            study["left_out"] = left_out_rows(done.proposal, controller, cache, clock, "latency")
             report(latency, 1.0)
             report(last, 0.0)
             place(plant_fmu(table.grid, cache), out / "fmus" / "plant.fmu")
@@ -226,33 +233,6 @@ def _rival(table: DesignTable, cache: Path, report: Report) -> Controller:
         return done.as_dict()
 
     return Controller.from_dict(cached_json(cache, "grid-rival", key, made))
-
-
-def _left_out(proposal: Proposal, controller: Controller, cache: Path, clock: Clock) -> list[dict[str, Any]]:
-    """Judge the controller at operating points that were tried and are not in the design."""
-    table, rows = proposal.table, []
-    for row in proposal.left_out:
-        if clock.over("latency"):
-            clock.leave(f"the controller at {row.point.name}, which is not in its design")
-            continue
-        case = at_point(table.grid, row.point)
-
-        def made(name: str = row.point.name, case: Case = case) -> list[dict[str, Any]]:
-            plant = FamilyPlant.of(case, table.signals, table.actuators, cache)
-            band = inter_area_band(plant.modes)
-            judged = judge_family(
-                {name: plant.judged}, controller.system, table.family(), bands_hz={name: band}
-            )
-            return [asdict(one) for one in judged.rows]
-
-        key = content_hash(
-            case.hash,
-            table.model_dump(mode="json"),
-            controller.as_dict(),
-            code_hash(judge_family.__module__),
-        )
-        rows += cached_json(cache, "grid-left-out", key, made)
-    return rows
 
 
 def _over_latency(table: DesignTable, controller: Controller, cache: Path) -> list[dict[str, Any]]:

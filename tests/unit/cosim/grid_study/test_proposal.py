@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
+import control
 import numpy as np
 import pytest
 
-from interarea.cosim.designs.design_file import load_design
+from interarea.cosim.designs.design_file import judge, load_design
 from interarea.cosim.designs.design_tables import PointTable
 from interarea.cosim.designs.short_designs import ShortDesign
 from interarea.cosim.errors import ScenarioError
+from interarea.cosim.grid_study import automatic
+from interarea.cosim.grid_study.automatic import GridDesign, _with_worst_points, least_held
 from interarea.cosim.grid_study.clock import Clock
 from interarea.cosim.grid_study.operating_points import TriedPoint, chosen_points, tried_points
 from interarea.cosim.grid_study.proposal import Findings, Proposal, _local_nodes, propose
 from interarea.cosim.grid_study.weak_modes import WeakModes, modes_of_grid, weak_modes
 from interarea.cosim.run.artefacts import linear_plant
+from interarea.design.controllers.controller import Controller
 from interarea.design.linear.linearise import remove_reference
 from interarea.design.modes.loop_points import LoopSet
 from interarea.design.modes.modes import modes_of
@@ -60,6 +65,42 @@ def test_a_grid_that_grows_is_not_designed_for(cache: Path) -> None:
 def test_a_grid_without_a_weak_mode_is_not_designed_for(cache: Path) -> None:
     with pytest.raises(ScenarioError, match=r"no weak inter-area mode, all have .* nothing to design"):
         weak_modes(modes_of_grid(load_case("kundur-pss"), cache))
+
+
+def _certified(proposal: Proposal, gain: float, cache: Path) -> Controller:
+    """Return gains (pu per rad/s) from the own speed and less of the others, judged at the points."""
+    table = proposal.table
+    D = gain * np.array([[1.0 if name == "G4_dw" else -0.5 for name in table.signals]])
+    K = control.ss([], [], [], D, inputs=list(table.signals), outputs=list(table.actuators))
+    return Controller("gain", K, 0.05, {}, certificate=judge(table, K, cache).as_dict())
+
+
+@pytest.mark.slow
+def test_the_worst_point_that_was_left_out_is_taken_up_where_that_holds_more(
+    weak: WeakModes, tried: tuple[TriedPoint, ...], cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    few = weak.choices.model_copy(update={"signals": 2, "latencies_ms": (100,)})
+    taken, clock = _set(0.3, "G4_vs"), Clock(1e3)
+    least = sorted((row for row in tried if not row.problem), key=lambda row: row.least)[:2]
+    proposal = propose(Findings(replace(weak, choices=few), (taken,), tuple(least)), taken, cache, clock)
+    base = proposal.table.point[:1]
+    narrow = replace(proposal, table=proposal.table.model_copy(update={"point": base}))
+    first = GridDesign(narrow, _certified(narrow, 0.0, cache))
+    worst = min(narrow.left_out, key=lambda row: row.least)
+
+    def searched(gain: float) -> GridDesign:
+        made = lambda table, *_: _certified(replace(narrow, table=table), gain, cache)  # noqa: E731
+        monkeypatch.setattr(automatic, "_searched", made)
+        return _with_worst_points(first, cache, clock, lambda share: None)
+
+    better = searched(0.03)
+    assert worst.point in better.proposal.table.point
+    assert least_held(better.certificate["rows"]) > worst.least + 0.001
+    assert f"Taken up: {worst.point.name}, where the design without it holds {worst.least:.3f}." in (
+        better.proposal.reasons
+    )
+    assert searched(-0.03) is first
+    assert _with_worst_points(first, cache, Clock(0.0), lambda share: None) is first
 
 
 @pytest.mark.slow
