@@ -41,7 +41,11 @@ static inline void converter_current(const real *row, num ip, num iq, num v, num
     const num part = num_ratio(v - zero, full - zero), less = iq - row[P_TAKEN] * (v - high);
     const num some = num_pick(num_above(v, zero), part * ip, NUM(0.0));
 
-    *along = num_pick(num_above(full, v), some, ip) - row[P_SHUNT] * v;
+    *along = num_pick(num_above(full, v), some, ip);
+#ifndef PLANT_LANES /* there it may differ from lane to lane */
+    if (row[P_SHUNT] != 0.0)
+#endif
+        *along = *along - row[P_SHUNT] * v;
     *across = -num_pick(num_above(v, high), num_pick(num_above(least, less), num_pick(num_above(iq, least), least, iq), less), iq);
 }
 
