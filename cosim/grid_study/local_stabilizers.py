@@ -197,10 +197,10 @@ def which_to_build(
     if _passed(local) or (_only_time(local) and not _passed(wide)):
         adds = (wide.certificate or {})["inter_area"] - (local.certificate or {})["inter_area"]
         by_itself = f"would add {adds:+.3f}" if adds >= 0.0 else f"by itself reaches {-adds:.3f} less"
-        not_run = "" if _passed(local) else f" (not all faults were run: {_missed(local)})"
+        not_run = "" if _passed(local) else f"; not all faults were run: they miss {_missed(local)}"
         return (
             f"local stabilizers are enough, no link is needed: at {machines} they reach {_reached(local)}, "
-            f"with any one lost{not_run}; the wide-area loop {by_itself} inter-area"
+            f"with any one lost; the wide-area loop {by_itself} inter-area{not_run}"
         )
     if installed:
         return _both(wide, local, asked, there, installed)

@@ -124,10 +124,11 @@ def _link(rows: Sequence[Row]) -> str:
     if not seen:
         return ""
     paying = [row for row in seen if row["link_afar"] - row["link_own"] >= PAYS]
+    asked = ", ".join(_percent(row) for row in seen)
     if not paying:
-        return f"a signal of another area pays at none of {', '.join(_percent(row) for row in seen)}"
+        return f"a signal of another area does not pay; asked at {asked}"
     gains = ", ".join(f"{_percent(row)} ({row['link_own']:.3f} to {row['link_afar']:.3f})" for row in paying)
-    return f"a signal of another area pays at {gains}; asked at {', '.join(_percent(row) for row in seen)}"
+    return f"a signal of another area pays at {gains}; asked at {asked}"
 
 
 def _beside(rows: Sequence[Row], kinds: Sequence[str]) -> list[str]:

@@ -71,7 +71,8 @@ def _grid_study(kind: str, grid: str, dyr: Path | None, out: Path) -> str:
     from .grids import grid_of
     from .terminal import busy
 
-    loaded = grid_of(grid, dyr) if kind == "study" else None
+    with busy(f"reading {grid}"):
+        loaded = grid_of(grid, dyr) if kind == "study" else None
     if loaded is None:
         raise UserError(f"new {kind} {grid}: no grid, allowed: `new study` and a case, .raw or .m file")
     from interarea.cosim.grid_study.choices import Choices, choices_text

@@ -117,7 +117,7 @@ def read_m_file(path: Path, lines: list[str]) -> MFile:
         left, right = match["left"].strip(), match["right"].strip()
         if left.startswith("["):
             _take_indices(left, right, names, where, text)
-        elif not left.startswith("mpc"):
+        elif re.split(r"[.(]", left)[0] != "mpc":
             if not left.isidentifier():
                 raise _refused(where, text)
             names[left] = _value(right, names, result, where, text)

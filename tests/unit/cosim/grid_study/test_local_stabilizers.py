@@ -108,7 +108,7 @@ def test_the_sentence_says_which_to_build() -> None:
     assert which_to_build(good, None, asked).startswith("no machine can be tuned")
     # faults that were not run are no reason against stabilizers where the loop misses something
     unfinished = _judged("local", 0.11, 0.05, f"non-linear faults at base: {TIME_OVER}")
-    assert "(not all faults were run: 1 of what" in which_to_build(short, unfinished, asked)
+    assert "; not all faults were run: they miss 1 of what" in which_to_build(short, unfinished, asked)
     assert which_to_build(good, unfinished, asked).startswith("build the wide-area loop")
     both = which_to_build(good, shorter, asked, ("G2",))
     assert both.startswith("build both: local stabilizers at G2 reach")

@@ -233,6 +233,8 @@ def test_columns_that_a_file_scales_are_scaled(tmp_path: Path) -> None:
         "for k = 1:3, mpc.bus(k, 3) = 0; end",
         "mpc.branch(:, 3) *= 2;",
         "if 1, mpc.bus(1,3) = 5; end",
+        "mpc2.bus = 1;",
+        "mpcs.baseMVA = 50;",
     ],
 )
 def test_any_other_statement_is_refused_with_its_line(code: str, tmp_path: Path) -> None:
