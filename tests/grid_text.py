@@ -2,7 +2,20 @@
 
 from __future__ import annotations
 
-from interarea.models.case.case import Case
+import re
+from pathlib import Path
+
+from interarea.models.case.case import Case, load_case
+
+
+def pair_with(folder: Path, record: str) -> tuple[Path, Path]:
+    """Write `kundur-pss` as RAW and DYR, with `record` in place of the unit at bus 4; return both files."""
+    case = load_case("kundur-pss")
+    lines = re.split(r"(?<=/)\s*\n", dyr_text(case))
+    kept = [line for line in lines if not line.strip().startswith("4 ")]
+    (folder / "grid.dyr").write_text("\n".join(kept) + "\n" + record)
+    (folder / "grid.raw").write_text(raw_text(case))
+    return folder / "grid.raw", folder / "grid.dyr"
 
 
 def raw_text(case: Case) -> str:

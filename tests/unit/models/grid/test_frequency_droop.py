@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import re
-
 import numpy as np
 import pytest
-from grid_text import dyr_text, raw_text
+from grid_text import pair_with
 from plant_shim import BlockShim
 from sparse_blocks import agreeing_blocks
 
@@ -140,12 +138,7 @@ RECORD = """4 'REGCA1' 1 0 0.02 10 0.9 0.4 1.22 1.2 0.8 0.4 -1.3 0.02 0.7 99 -99
 
 
 def imported(folder, band):
-    case = load_case("kundur-pss")
-    lines = re.split(r"(?<=/)\s*\n", dyr_text(case))
-    kept = [line for line in lines if not line.strip().startswith("4 ")]
-    (folder / "grid.dyr").write_text("\n".join(kept) + "\n" + RECORD.replace("FDBD", band))
-    (folder / "grid.raw").write_text(raw_text(case))
-    return import_psse(folder / "grid.raw", folder / "grid.dyr").case
+    return import_psse(*pair_with(folder, RECORD.replace("FDBD", band))).case
 
 
 def test_a_record_with_a_droop_is_imported(tmp_path):

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import re
-
 import numpy as np
 import pytest
 import scipy.integrate
 import scipy.optimize
-from grid_text import dyr_text, raw_text
+from grid_text import pair_with
 from plant_shim import BlockShim
 from sparse_blocks import agreeing_blocks
 
@@ -341,12 +339,7 @@ RECORD = "4 'REGFMA1' 1 1 1 0.01 0.02 0.03 1.5 1.15 0 1.0 0 0.5 -0.5 0.02 0.05 0
 
 
 def _pair(tmp_path, record=RECORD):
-    case = load_case("kundur-pss")
-    lines = re.split(r"(?<=/)\s*\n", dyr_text(case))
-    kept = [line for line in lines if not line.strip().startswith("4 ")]
-    (tmp_path / "grid.dyr").write_text("\n".join(kept) + "\n" + record)
-    (tmp_path / "grid.raw").write_text(raw_text(case))
-    return tmp_path / "grid.raw", tmp_path / "grid.dyr"
+    return pair_with(tmp_path, record)
 
 
 def test_a_record_becomes_a_converter_behind_the_impedance_of_the_raw_file(tmp_path):

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import re
-
 import numpy as np
 import pytest
 import scipy.integrate
-from grid_text import dyr_text, raw_text
+from grid_text import pair_with
 from plant_shim import BlockShim
 from sparse_blocks import agreeing_blocks
 
@@ -177,12 +175,7 @@ RECORD = """4 'REGCB1' 1 1 0 0.02 0.03 99 -99 10 0.015 1.2 /
 
 
 def imported(folder, record=RECORD):
-    case = load_case("kundur-pss")
-    lines = re.split(r"(?<=/)\s*\n", dyr_text(case))
-    kept = [line for line in lines if not line.strip().startswith("4 ")]
-    (folder / "grid.dyr").write_text("\n".join(kept) + "\n" + record)
-    (folder / "grid.raw").write_text(raw_text(case))
-    return import_psse(folder / "grid.raw", folder / "grid.dyr").case
+    return import_psse(*pair_with(folder, record)).case
 
 
 def test_a_record_becomes_a_converter_behind_the_impedance_of_the_raw_file(tmp_path):
