@@ -238,11 +238,11 @@ def left_out_rows(
             )
             return [asdict(one) for one in judged.rows]
 
+        # by what is judged: limits and faults of the controller may change meanwhile
+        asked = [table.signals, table.actuators, table.conditions]
+        K = controller.matrices
         key = content_hash(
-            case.hash,
-            table.model_dump(mode="json"),
-            controller.as_dict(),
-            code_hash(judge_family.__module__),
+            case.hash, row.point.name, asked, K.A, K.B, K.C, K.D, code_hash(judge_family.__module__)
         )
         rows += cached_json(cache, "grid-left-out", key, made)
     return rows
