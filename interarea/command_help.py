@@ -57,23 +57,24 @@ EXAMPLES = {
     "device": "interarea device tgov1 --set R=0.05 --set T1=0.5 --set T2=2 --set T3=7",
     "meter": "interarea meter out/run/trajectory.parquet --case two-area-thesis",
     "locate": "interarea locate out/run/trajectory.parquet --frequency 0.6",
-    "fit": "interarea fit pmu.csv --case two-area-thesis --machine G1 --parameters H",
+    "fit": "interarea fit fault/trajectory.parquet --case two-area-thesis --machine G1",
     "cache": "interarea cache --check",
     "study": "interarea study thesis --out out/thesis --no-second-solver",
 }
 
-#: command -> the command whose example writes what its own reads
+#: command -> what writes the file that its own example reads
 READS = {
-    "sweep": "new",
-    "maps": "sweep",
-    "check": "ssp",
-    "import": "export",
-    "meter": "run",
-    "locate": "run",
+    "sweep": EXAMPLES["new"],
+    "maps": EXAMPLES["sweep"],
+    "check": EXAMPLES["ssp"],
+    "import": EXAMPLES["export"],
+    "meter": EXAMPLES["run"],
+    "locate": EXAMPLES["run"],
+    "fit": "interarea run fault --out fault",
 }
 
 
 def last_lines(name: str) -> str:
-    """Return how a command's help ends: its example, whole on a line, and the one to run before it."""
-    before = f", after that of {READS[name]}" if name in READS else ""
+    """Return how a command's help ends: its example, whole on a line, and what to run before it."""
+    before = f", after `{READS[name]}`" if name in READS else ""
     return f"\b\nExample{before}:\n  {EXAMPLES[name]}"  # \b: the lines stay as they are

@@ -15,8 +15,8 @@ from interarea.command_help import EXAMPLES, READS, SUMMARIES
 
 #: examples of a second or two; all others run in the slow half
 QUICK = ("list", "cases", "show", "new", "device", "export", "cache")
-#: examples that are parsed alone: a search of many minutes, a record that no other example writes
-PARSED = ("design", "fit")
+#: the example that is parsed alone: a search of many minutes
+PARSED = ("design",)
 RUNNING = [
     pytest.param(name, marks=() if name in QUICK else pytest.mark.slow)
     for name in COMMANDS
@@ -56,14 +56,14 @@ def test_a_commands_help_fits_80_columns_and_cuts_no_sentence(name: str) -> None
 @pytest.mark.parametrize("name", COMMANDS)
 def test_a_commands_help_ends_with_its_example(name: str) -> None:
     """On a line of its own, so that it can be copied."""
-    before = f", after that of {READS[name]}" if name in READS else ""
+    before = f", after `{READS[name]}`" if name in READS else ""
     assert shlex.split(EXAMPLES[name])[:2] == ["interarea", name]
     assert _help(name).splitlines()[-2:] == [f"  Example{before}:", f"    {EXAMPLES[name]}"]
 
 
 @pytest.mark.parametrize("name", PARSED)
 def test_an_example_that_is_not_run_parses(name: str) -> None:
-    """Designs of less run in `tests/unit/cosim/designs`, fits in `tests/unit/cosim/records`."""
+    """Designs of less run in `tests/unit/cosim/designs`."""
     words = shlex.split(EXAMPLES[name])[2:]
     read = load(name).make_context(name, [*words]).params
     assert words[0] in map(str, read.values())
@@ -71,27 +71,27 @@ def test_an_example_that_is_not_run_parses(name: str) -> None:
 
 @pytest.fixture(scope="module")
 def ran(tmp_path_factory: pytest.TempPathFactory, cache: Path) -> tuple[Path, set[str]]:
-    """A folder, and the commands whose examples have run there."""
+    """A folder, and the examples that have run there."""
     return tmp_path_factory.mktemp("examples"), set()
 
 
 @pytest.mark.parametrize("name", RUNNING)
 @pytest.mark.timeout(1800)  # a study takes minutes
 def test_an_example_runs(name: str, ran: tuple[Path, set[str]], monkeypatch: pytest.MonkeyPatch) -> None:
-    """In an empty folder, with nothing but what the example named in the same line has written."""
+    """In an empty folder, with nothing but what the line named above it has written."""
     folder, done = ran
     monkeypatch.chdir(folder)
-    _run(name, done)
-    assert name in done
+    _run(EXAMPLES[name], done)
+    assert EXAMPLES[name] in done
 
 
-def _run(name: str, done: set[str]) -> None:
-    if name in done:
+def _run(example: str, done: set[str]) -> None:
+    if example in done:
         return
-    if name in READS:
-        _run(READS[name], done)
+    words = shlex.split(example)[1:]
+    if words[0] in READS and example == EXAMPLES[words[0]]:
+        _run(READS[words[0]], done)
     before = set(Path().rglob("*"))
-    words = shlex.split(EXAMPLES[name])[1:]
     ended = CliRunner().invoke(app.app, words)
     assert ended.exit_code == 0, ended.output
     if "--out" in words:
@@ -99,4 +99,4 @@ def _run(name: str, done: set[str]) -> None:
         assert written in set(Path().rglob("*")) - before and (written.is_file() or any(written.iterdir()))
     else:
         assert ended.stdout.strip()
-    done.add(name)
+    done.add(example)
