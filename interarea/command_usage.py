@@ -125,7 +125,7 @@ def check_names(context: typer.Context) -> None:
 
 
 ABOVE_0_S = within(above=0.0, unit="s")
-FROM_0_S = within(least=0.0, unit="s")
+LATENCY_S = within(least=0.0, most=10.0, unit="s")  # 100 are meant as ms
 CaseName = Annotated[
     str,
     typer.Argument(

@@ -90,7 +90,7 @@ _UNSAID = (_CYCLES, {"type": "null"})
 
 
 def _allow_cycles(result: dict[str, Any]) -> None:
-    """Let every time be words such as "8 cycles", and the loss of a channel be a number."""
+    """Let every time be words such as "8 cycles" or "100 ms", and the loss of a channel be a number."""
     for part in (result, *result.get("$defs", {}).values()):
         properties = part.get("properties", {})
         for key, rule in properties.items():
@@ -193,8 +193,8 @@ def page(kind: str) -> str:
     ]
     if kind in ("scenario", "events", "study"):
         lines += [
-            'A time may be in seconds or words: `"8 cycles"` of the case\'s frequency, `"1.0 s + 8 cycles"`, '
-            'and in an event `"start + 8 cycles"`.',
+            'A time may be in seconds or words: `"100 ms"`, `"8 cycles"` of the case\'s frequency, '
+            '`"1.0 s + 8 cycles"`, and in an event `"start + 8 cycles"`.',
             "",
         ]
     if "properties" in result:

@@ -4,7 +4,8 @@ A byte-order mark is read over. Refused by place and value: numbers that arithme
 integers beyond 64 bits, control characters in texts, NaN and infinity in JSON, a JSON key given twice,
 tables without end.
 
-A time is a number of seconds or terms joined by +: `1.5 s`, `8 cycles`, and `start`: its table's `start_s`.
+A time is a number of seconds or terms joined by +: `1.5 s`, `100 ms`, `8 cycles`, and `start`: its table's
+`start_s`.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ _LARGEST_INTEGER = 2**63 - 1
 _PARSING = threading.Lock()
 _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 _SHOWN = 40  #: characters of a number in a message
+_READ = 80  #: of a line that is no TOML or JSON
 
 
 class DocumentError(UserError):
@@ -111,18 +113,75 @@ def parse_python(text: bytes | str, mode: str = "exec") -> Any:
 
 
 def _parsed(content: bytes | str, language: str, read: Callable[[str], Any]) -> Any:
+    text = content if isinstance(content, str) else _decoded(content, language)
+    text = text.removeprefix("\ufeff")
     try:
-        text = content if isinstance(content, str) else content.decode("utf-8-sig")
-        document = read(text.removeprefix("\ufeff"))
+        document = read(text)
         _check_values(document, "")
     except RecursionError:
         raise DocumentError(f"not valid {language}: nested too deeply") from None
     except DocumentError:
         raise
-    except ValueError as error:  # that of the language, of UTF-8, of an integer of thousands of digits
-        hint = " (an id given twice?)" if "overwrite" in str(error) or "declare" in str(error) else ""
-        raise DocumentError(f"not valid {language}: {error}{hint}") from None
+    except ValueError as error:  # that of the language, of an integer of thousands of digits
+        raise DocumentError(f"not valid {language}: {error}{_read_there(str(error), text)}") from None
     return document
+
+
+def _decoded(content: bytes, language: str) -> str:
+    if what := not_utf8(content[:4096]):
+        raise DocumentError(f"not valid {language}: {what}")
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = content.count(b"\n", 0, error.start) + 1
+        raise DocumentError(
+            f"not valid {language}: byte 0x{content[error.start]:02x} in line {line} is not UTF-8, "
+            "wanted: text saved as UTF-8"
+        ) from None
+
+
+def not_utf8(content: bytes) -> str:
+    """Return what bytes plainly are that are no text in UTF-8, "" where that is not plain.
+
+    >>> not_utf8("Time,G1".encode("utf-16"))
+    'is UTF-16, wanted: UTF-8 (an editor or a spreadsheet saves it so)'
+    """
+    if content.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return "is UTF-16, wanted: UTF-8 (an editor or a spreadsheet saves it so)"
+    if content.startswith(b"PK\x03\x04"):
+        return "is a zip archive, as a workbook of a spreadsheet is, wanted: text"
+    return "is binary, wanted: text" if b"\0" in content else ""
+
+
+#: error and line at it -> what to do; the first that holds
+_HINTS = (
+    (r"overwrite|declare", r"", "is it given twice?"),
+    (r"", r"^\s*\{", "this looks like JSON"),
+    (r"", r"[\u201c-\u201f\u2018-\u201b\u00ab\u00bb]", 'straight quotes are wanted: "'),
+    (r"", r"[\u00a0\u2000-\u200d\u202f\u3000]", "a plain space is wanted there"),
+    (r"hex|[Ee]scape", r"\\", "in a path / is wanted, or quotes of the kind '"),
+    (r"Illegal character", r"[\"']", "a quote is not closed"),
+    (r"", r"=\s*(True|False)\b", "true and false are written small"),
+    (r"", r"=\s*-?\d+,\d", "a decimal point is wanted"),
+    (r"after a key", r"^[\w.\s-]+:", "a key and its value are joined by ="),
+    (r"Invalid value", r"=\s*[A-Za-z./~]", "a text stands in quotes"),
+    (r"", r"\r.", "line ends of Unix or Windows are wanted"),
+    (r"double quotes|trailing comma", r"[,}\]]", "no comma stands before } or ]"),
+)
+
+
+def _read_there(error: str, text: str) -> str:
+    """Return what was read where a language's error is, and what to do, as the end of a message."""
+    match = re.search(r"line (\d+),? column (\d+)", error)
+    lines = text.split("\n")
+    if match is None or int(match[1]) > len(lines):
+        return ""
+    first = max(0, int(match[2]) - _READ // 2)  # a line of numbers may be long
+    line = lines[int(match[1]) - 1][first : first + _READ]
+    hints = (to_do for wrong, there, to_do in _HINTS if re.search(wrong, error) and re.search(there, line))
+    shown = "".join(c if c.isprintable() else repr(c)[1:-1] for c in line.strip())
+    hint = next(hints, "")
+    return (f", got: {shown}" if shown else "") + (f"; {hint}" if hint else "")
 
 
 def _strict_json(text: str) -> Any:
@@ -203,7 +262,7 @@ def toml_kind(content: bytes, wanted: str) -> str | None:
     return other_kind(table, wanted) if table else None
 
 
-_TERM = re.compile(r"(?P<number>\d+(?:\.\d*)?(?:[eE][-+]?\d+)?)\s*(?P<unit>s|cycles?)")
+_TERM = re.compile(r"(?P<number>\d+(?:\.\d*)?(?:[eE][-+]?\d+)?)\s*(?P<unit>ms|s|cycles?)")
 
 
 def in_seconds(table: Mapping[str, Any], frequency_hz: Callable[[], float]) -> dict[str, Any]:
@@ -213,6 +272,8 @@ def in_seconds(table: Mapping[str, Any], frequency_hz: Callable[[], float]) -> d
 
     >>> in_seconds({"event": [{"start_s": 1.0, "end_s": "start + 6 cycles"}]}, lambda: 60.0)
     {'event': [{'start_s': 1.0, 'end_s': 1.1}]}
+    >>> in_seconds({"latency_s": "100 ms"}, lambda: 60.0)
+    {'latency_s': 0.1}
     """
     return {key: _moved(key, value, table, frequency_hz) for key, value in table.items()}
 
@@ -239,7 +300,8 @@ def _seconds(text: str, table: Mapping[str, Any], frequency_hz: Callable[[], flo
             total += start
         elif match := _TERM.fullmatch(word):
             number = float(match["number"])
-            total += number if match["unit"] == "s" else number / frequency_hz()
+            per_s = {"s": 1.0, "ms": 1e3}.get(match["unit"]) or frequency_hz()
+            total += number / per_s
         else:
             return text
     return total

@@ -93,7 +93,7 @@ def _in_words(own: str, provided: object, message: str) -> str:
         if _NUMBER.fullmatch(provided.strip()):
             return f"a number, without quotes: {provided.strip()}"
         if own.endswith("_s"):
-            return 'seconds as a number, or words such as "8 cycles", "1.5 s"'
+            return 'seconds as a number, or words such as "8 cycles", "100 ms", "1.5 s"'
     if message.startswith("a valid tuple"):
         return "a list in brackets"
     return message.removeprefix("Tuple should have ").replace(" after validation", "")

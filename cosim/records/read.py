@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from interarea.models.documents import require_regular
+from interarea.models.documents import not_utf8, require_regular
 from interarea.models.errors import nearest
 
 from ..trajectory import TIME
@@ -117,9 +117,12 @@ def _loaded(source: Any, frequency_hz: float) -> _Loaded:
         )
     if path.suffix.casefold() in (".cfg", ".cff"):
         return _comtrade(path)
-    if b"\x00" in head or not head.strip():
-        what = "is empty" if not head.strip() else "is binary and of no kind known here"
-        raise RecordError(f"{path}: {what}, wanted: {WANTED}")
+    if not head.strip():
+        raise RecordError(f"{path}: is empty, wanted: {WANTED}")
+    if what := not_utf8(head):
+        if path.suffix.casefold() in (".out", ".outx"):
+            what = "holds channels of PSS/E in its own form, wanted: csv, which its dyntools write"
+        raise RecordError(f"{path}: {what}; {WANTED}")
     return _csv(path, frequency_hz)
 
 

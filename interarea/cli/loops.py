@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..command_usage import FROM_0_S, CaseName
+from ..command_usage import LATENCY_S, CaseName
 from .modes import Below, CircuitsOut, at_point, region_of
 from .terminal import busy, print_table
 
@@ -41,7 +41,7 @@ def loops(
             "--latency",
             metavar="S",
             help="of every signal; turns the phase to make up",
-            callback=FROM_0_S,
+            callback=LATENCY_S,
         ),
     ] = 0.0,
     signals: Annotated[

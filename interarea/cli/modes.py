@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..command_usage import FROM_0_S, CaseName, naming
+from ..command_usage import LATENCY_S, CaseName, naming
 from .terminal import busy, print_table, two_numbers
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ def modes(
     ] = None,
     latency: Annotated[
         float,
-        typer.Option("--latency", metavar="S", help="of the controller's signals, exact", callback=FROM_0_S),
+        typer.Option("--latency", metavar="S", help="of the controller's signals, exact", callback=LATENCY_S),
     ] = 0.0,
     along: Annotated[
         str | None,

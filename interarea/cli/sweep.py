@@ -291,16 +291,17 @@ def _seconds(text: str, grid: str) -> float:
     """Return a time in words, of the grid's frequency where it is in cycles."""
     from interarea.cosim.scenario.scenario import load_scenario
     from interarea.models.case.case import load_case
+    from interarea.models.documents import in_seconds
 
-    match = re.fullmatch(r"\s*(\d+(?:\.\d*)?)\s*(s|ms|cycles?)\s*", text)
-    if match is None or not float(match[1]) > 0.0:
+    def frequency_hz() -> float:
+        return load_case(load_scenario({"case": grid, "stop_s": 1.0}).case_path).frequency_hz
+
+    time = in_seconds({"clearing_s": text}, frequency_hz)["clearing_s"]
+    if isinstance(time, str) or not time > 0.0:
         raise SweepError(
             f'--clearing = {text}, allowed: a time above 0 such as "6 cycles", "100 ms", "0.1 s"'
         )
-    if match[2] in ("s", "ms"):
-        return float(match[1]) * (1.0 if match[2] == "s" else 1e-3)
-    case = load_case(load_scenario({"case": grid, "stop_s": 1.0}).case_path)
-    return float(match[1]) / case.frequency_hz
+    return float(time)
 
 
 @contextmanager

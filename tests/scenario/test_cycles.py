@@ -19,7 +19,7 @@ def scenario(**keys: Any) -> dict[str, Any]:
 
 @pytest.mark.parametrize(
     ("words", "after_s"),
-    [("start + 8 cycles", 8 / 60), ("start + 0.1 s", 0.1), ("start + 3 cycles + 0.05 s", 0.1)],
+    [("start + 8 cycles", 8 / 60), ("start + 100 ms", 0.1), ("start + 3 cycles + 0.05 s", 0.1)],
 )
 def test_an_event_lasts_cycles_from_its_start_on(words: str, after_s: float) -> None:
     event = load_scenario(scenario(event=[{**FAULT, "end_s": words}])).event[0]

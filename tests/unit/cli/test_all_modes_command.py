@@ -60,7 +60,10 @@ def test_modes_with_a_late_controller(interarea) -> None:  # type: ignore[no-unt
             ("--controller", "robust", "--sensitivity", "machines.G1.H"),
             "--sensitivity with --controller: not together",
         ),
-        (("--controller", "robust", "--latency", "-1"), "--latency S: got -1, allowed: at least 0, in s"),
+        (
+            ("--controller", "robust", "--latency", "-1"),
+            "--latency S: got -1, allowed: at least 0 and at most 10, in s",
+        ),
         (("--controller", "active"), "--controller active: a bank switches between controllers"),
         (
             ("--below", "0.2", "--load-scale", "4"),

@@ -97,7 +97,7 @@ def test_a_target_that_no_allowed_signal_shows_is_one_line(interarea, tmp_path) 
         (("--point", "load=much"), "--point 'load=much', wanted out=BRANCH"),
         (("--point", "load=4"), "the power flow does not converge: worst mismatch"),
         (("--point", "out=zz"), "branch 'zz' does not exist"),
-        (("--latency", "-0.1"), "--latency S: got -0.1, allowed: at least 0, in s"),
+        (("--latency", "-0.1"), "--latency S: got -0.1, allowed: at least 0 and at most 10, in s"),
         (("--below", "0.01"), "no inter-area mode in this band and below this damping ratio"),
         (("--below", "0.2", "--mode", "x"), "no mode 'x'"),
     ],

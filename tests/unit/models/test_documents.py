@@ -48,6 +48,24 @@ def test_a_scenario_with_a_number_that_is_none(line: str, tmp_path: Path) -> Non
     assert len(str(error.value)) < 400
 
 
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        (SCENARIO.encode("utf-16"), "not valid TOML: is UTF-16, wanted: UTF-8"),
+        ("title = 'Sj\u00f6'".encode("latin-1"), "byte 0xf6 in line 1 is not UTF-8"),
+        (b"PK\x03\x04\x14\x00", "is a zip archive"),
+        (b"MATLAB 5.0\xff\x00", "is binary"),
+        (SCENARIO.replace("\n", "\r").encode(), "line ends of Unix or Windows are wanted"),
+        (b"x = [" + b"9 " * 100_000, "got: x = [9 9"),
+        (b"x = '\x1b[31m'", r"got: x = '\x1b[31m"),
+    ],
+)
+def test_text_that_is_no_toml_is_said_to_be_what_it_is(content: bytes, says: str) -> None:
+    with pytest.raises(DocumentError) as error:
+        parse_toml(content)
+    assert says in str(error.value) and len(str(error.value)) < 300 and str(error.value).isprintable()
+
+
 def test_names_and_titles_up_to_their_length(tmp_path: Path) -> None:
     file = tmp_path / f"{'x' * 200}.toml"
     file.write_text(f"{SCENARIO}title = '{'t' * 200}'\n")

@@ -243,7 +243,7 @@ WRONG = {
     "toml": (_text('title = "x"\n[[event]]\nkind = "bus_fault"\n'), "no row begins with Time"),
     "empty": (_text(""), "is empty, wanted: a PMU csv"),
     "header alone": (_text("Time,F\n"), "no samples follow the header"),
-    "binary": (lambda path: path.write_bytes(bytes(range(256)) * 9), "is binary and of no kind"),
+    "binary": (lambda path: path.write_bytes(bytes(range(256)) * 9), "is binary, wanted"),
     "short": (_text("Time,F [Hz]\n0,60\n0.1,60.1\n"), "2 samples, wanted: at least 8"),
     "millivolts": (
         lambda path: ieee_csv(path, columns={"VM": ("KV", 1e3 * COLUMNS["VM"][1])}),
