@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from interarea.fmu_build.open.ports import Port
+from interarea.models.errors import nearest
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -76,9 +77,9 @@ class Trajectory:
         return data
 
     def __getitem__(self, column: str) -> npt.NDArray[np.float64]:
-        """Return one column as an array; the error names the columns there are."""
+        """Return one column as an array; the error names the nearest columns."""
         if column not in self._columns:
-            raise KeyError(f"no column {column!r}; there are {', '.join(self._columns)}")
+            raise KeyError(f"no column {column!r}; {nearest(column, self._columns)}")
         return self._columns[column]
 
     def reals_of(self, instance: str) -> list[str]:

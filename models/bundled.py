@@ -40,3 +40,17 @@ def bundled_elsewhere(name: str, wanted: str) -> str | None:
         if kind != wanted and name in bundled(kind):
             return f"is a bundled {kind} (`{command.format(name)}`), wanted: a {wanted}"
     return None
+
+
+def meant(name: str, kind: str) -> str:
+    """Return what a name that is neither file nor bundled may mean, as the end of a sentence, or "".
+
+    >>> meant("lost-signal.toml", "scenario")
+    '; the bundled scenario is lost-signal, without .toml'
+    """
+    path = Path(name)
+    if path.suffix == ".toml" and path.stem in bundled(kind):
+        return f"; the bundled {kind} is {path.stem}, without .toml"
+    if (whole := path.with_name(f"{path.name}.toml")).is_file():
+        return f"; did you mean {whole}?"
+    return ""

@@ -155,7 +155,7 @@ def not_utf8(content: bytes) -> str:
 
 #: error and line at it -> what to do; the first that holds
 _HINTS = (
-    (r"overwrite|declare", r"", "is it given twice?"),
+    (r"overwrite|declare", r"", "an id given twice?"),
     (r"", r"^\s*\{", "this looks like JSON"),
     (r"", r"[\u201c-\u201f\u2018-\u201b\u00ab\u00bb]", 'straight quotes are wanted: "'),
     (r"", r"[\u00a0\u2000-\u200d\u202f\u3000]", "a plain space is wanted there"),

@@ -67,7 +67,8 @@ def nearest(name: object, known: Iterable[object]) -> str:
     'did you mean kundur-manual?'
     """
     names = list(dict.fromkeys(str(k) for k in known))
-    close = difflib.get_close_matches(str(name), names, n=3, cutoff=0.5)
+    close = [n for n in names if n.casefold() == str(name).casefold()]
+    close = close or difflib.get_close_matches(str(name), names, n=3, cutoff=0.5)
     if close:
         return f"did you mean {' or '.join(close)}?"
     return (

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-from interarea.models.bundled import bundled, bundled_elsewhere
+from interarea.models.bundled import bundled, bundled_elsewhere, meant
 from interarea.models.case.document import case_names
 from interarea.models.documents import require_regular
 from interarea.models.errors import CaseError
+from interarea.models.importers.published import FORMATS, not_alone
 
 from ..errors import ScenarioError, nearest
 
@@ -23,14 +24,14 @@ def scenario_file(source: str | Path) -> Path:
     path, names = Path(source), bundled("scenario")
     if path.suffix or path.exists():
         if not path.exists():
-            raise ScenarioError(f"{path}: no such scenario file")
+            raise ScenarioError(f"{path}: no such scenario file{meant(str(path), 'scenario')}")
         require_regular(path, "a scenario file", ScenarioError)
         return path
     if path.name not in names:
         if (other := bundled_elsewhere(str(source), "scenario")) is not None:
             raise ScenarioError(f"{source} {other}")
-        hint = nearest(str(source), names)
-        raise ScenarioError(f"scenario {str(source)!r} is neither a file nor bundled; {hint}")
+        hint = meant(str(source), "scenario") or f"; {nearest(str(source), names)}"
+        raise ScenarioError(f"scenario {str(source)!r} is neither a file nor bundled{hint}")
     return names[path.name]
 
 
@@ -44,9 +45,10 @@ def design_file(source: str | Path, *, also: Iterable[str] = ()) -> Path:
         return names[str(source)]
     if not path.suffix and not path.exists():
         what = bundled_elsewhere(str(source), "design")
-        what = what or f"is neither a file nor bundled; {nearest(str(source), [*names, *also])}"
+        hint = meant(str(source), "design") or f"; {nearest(str(source), [*names, *also])}"
+        what = what or f"is neither a file nor bundled{hint}"
         raise ScenarioError(f"design {str(source)!r} {what}")
-    require_regular(path, "a design file", ScenarioError)
+    require_regular(path, f"a design file{meant(str(source), 'design')}", ScenarioError)
     return path
 
 
@@ -61,12 +63,15 @@ def study_file(name: str) -> Path:
     if name in names:
         return names[name]
     if name.endswith(".toml"):
-        require_regular(path, "a file of a study or a case", ScenarioError)
+        hint = meant(name, "study") or meant(name, "case")
+        require_regular(path, f"a file of a study or a case{hint}", ScenarioError)
         return path
     if (other := bundled_elsewhere(name, "study")) is not None:
         raise ScenarioError(f"{name} {other}")
-    hint = nearest(name, [*names, *case_names()])
-    raise ScenarioError(f"study {name!r} is no bundled study, grid or file; {hint}")
+    if path.is_file():
+        raise ScenarioError(f"{name}: is no study (.toml) and no grid, allowed: {FORMATS}{not_alone(path)}")
+    hint = meant(name, "study") or f"; {nearest(name, [*names, *case_names()])}"
+    raise ScenarioError(f"study {name!r} is no bundled study, grid or file{hint}")
 
 
 def require_subject(name: str) -> None:

@@ -373,6 +373,11 @@ def load_scenario(
         return source
     if isinstance(source, Mapping):
         return _checked(dict(source), "scenario", Path(), frequency_hz)
+    if not isinstance(source, str | Path):
+        what = type(source).__name__
+        raise ScenarioError(
+            f"scenario: is of the type {what}, wanted: a file, a bundled name, or a dict of its keys"
+        )
     path = scenario_file(source)
     if path.suffix.lower() == ".ssp":
         from .ssp import table_of_ssp

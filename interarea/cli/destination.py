@@ -47,6 +47,11 @@ def file_for(path: Path, option: str = "--out", *, suffix: str = "") -> Path:
 
 def _require_room(path: Path, folder: Path, option: str) -> None:
     """Require that `folder`, or the nearest one above it that is there, is a folder that can be written."""
+    if path.parts[:1] == ("~",):
+        raise DestinationError(
+            f"{option} {path}: the shell has left the ~ as it is (it stands in quotes or behind =), "
+            "wanted: the path written out"
+        )
     there = folder.absolute()
     while not there.exists():
         if there.is_symlink():

@@ -200,8 +200,9 @@ def require_dynamics(case: CaseTables) -> None:
     bare = [m.name for m in case.machines if m.model == "power_flow"]
     if bare:
         raise CaseError(
-            f"{case.name}: machines {', '.join(bare[:10])} have no dynamic data (model power_flow), "
-            "allowed: round_rotor, classical or infinite_bus; a DYR file or the tables of the case give them"
+            f"{case.name}: machines {', '.join(bare[:10])}{', ...' if len(bare) > 10 else ''} have no "
+            "dynamic data (model power_flow), allowed: round_rotor, classical or infinite_bus; a DYR file "
+            "(--dyr FILE beside the RAW file) or the tables of the case give them"
         )
 
 

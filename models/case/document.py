@@ -10,7 +10,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, get_args
 
-from ..bundled import bundled_elsewhere
+from ..bundled import bundled_elsewhere, meant
 from ..documents import DocumentError, other_kind, parse_toml, read_document, require_regular
 from ..errors import CaseError, nearest, reason
 from ..files import read_text, toml_files
@@ -189,16 +189,19 @@ def case_file(name_or_path: str | Path, beside: Path | None = None) -> Path:
     name = str(name_or_path)
     if name.endswith(".toml"):
         path = Path(name) if beside is None else beside / name
-        require_regular(path, "a case file", CaseError)
+        require_regular(path, f"a case file{meant(name, 'case')}", CaseError)
         return path
     known = case_names()
     if name not in known:
         if (other := bundled_elsewhere(name, "case")) is not None:
             raise CaseError(f"{name} {other}")
-        hint = "(or give the path of a .toml file)"
-        there = Path(name).exists()
-        what = f"{name}: is no .toml file, so no case" if there else f"case {name!r} does not exist"
-        raise CaseError(f"{what}; {nearest(name, known)} {hint}")
+        if Path(name).exists():
+            raise CaseError(
+                f"{name}: is no .toml file, so no case; "
+                "`interarea import GRID.raw --dyr GRID.dyr --out GRID.toml` makes one of a grid"
+            )
+        hint = meant(name, "case") or f"; {nearest(name, known)} (or give the path of a .toml file)"
+        raise CaseError(f"case {name!r} does not exist{hint}")
     return toml_files(BUNDLED)[name]
 
 

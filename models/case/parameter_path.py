@@ -38,7 +38,7 @@ def parameter_value(case: Case, path: str) -> float:
             {*type(value).model_fields, *(value.model_extra or ())} if isinstance(value, BaseModel) else ()
         )
         if field not in known:
-            raise CaseError(f"{case.name}: {path}: no field {field!r}; {nearest(field, known)}")
+            raise CaseError(f"{case.name}: {path}: no field {field!r}; {nearest(field, sorted(known))}")
         value = getattr(value, field)
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise CaseError(f"{case.name}: {path} is {value!r}, allowed: the path of a number that is given")

@@ -19,8 +19,9 @@ from ..grid.start import start_of
 from .imported import Imported
 from .matpower import import_matpower
 from .psse import import_psse
-from .published import FORMATS, PUBLISHED, published, require_grid
+from .published import FORMATS, PUBLISHED, not_alone, published, require_grid
 
+_GRIDS = (".raw", ".rawx", ".m")
 _PACKED = (".gz", ".xz", ".bz2")
 
 
@@ -72,6 +73,8 @@ def import_grid(
         return _import_published(str(grid), dyr, how)
     require_grid(str(grid))
     suffix = (Path(file.stem) if file.suffix.lower() in _PACKED else file).suffix.lower()
+    if suffix in _GRIDS and dyr is not None and Path(dyr).suffix.lower() in _GRIDS:
+        raise CaseError(f"dyr = {dyr}: is a grid by its suffix, wanted: the dynamic data of {file.name}")
     if suffix == ".m":
         if dyr is not None:
             raise CaseError(f"{dyr}: dynamic data goes with a RAW file, not with MATPOWER")
@@ -84,7 +87,7 @@ def import_grid(
         models |= {"converters_as_current": converters == "current", "dc_lines_as_power": dc_lines == "power"}
         imported = import_psse(file, dyr, replace=replace_models, **how, **models)
         return imported if dyr is None else _started(imported, release=release_limits)
-    raise CaseError(f"{file}: suffix {suffix!r}, allowed: {FORMATS}")
+    raise CaseError(f"{file}: suffix {suffix!r}, allowed: {FORMATS}{not_alone(file)}")
 
 
 def _import_published(name: str, dyr: str | Path | None, how: dict[str, Any]) -> Imported:

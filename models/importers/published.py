@@ -61,6 +61,17 @@ PUBLISHED = {
 }
 
 
+def not_alone(file: Path) -> str:
+    """Return how a file of dynamic data is given, as the end of a sentence about it; "" of another.
+
+    >>> not_alone(Path("grid.dyr"))
+    '; dynamic data go with their grid: GRID.raw --dyr grid.dyr'
+    """
+    return (
+        f"; dynamic data go with their grid: GRID.raw --dyr {file}" if file.suffix.lower() == ".dyr" else ""
+    )
+
+
 def require_grid(grid: str) -> None:
     """Require that a word is a name in `PUBLISHED` or a file, which is not read.
 

@@ -91,7 +91,7 @@ def test_a_file_of_another_kind_is_named_as_what_it_is(interarea, kinds, command
     words = {
         "empty": "is empty",
         "folder": "folder" if command != "study" else "no bundled study",
-        "loop": "archive" if command != "study" else "no bundled study",
+        "loop": "archive" if command != "study" else "no study",
         "sweep": "is a sweep (`interarea sweep`)",
         "scenario": "is a scenario (`interarea run`)",
         "case": "is a case",
