@@ -27,8 +27,8 @@ if TYPE_CHECKING:  # what the table below says, for type checkers and editors
     from interarea.control_systems import h2syn as h2syn
     from interarea.control_systems import hinfsyn as hinfsyn
     from interarea.cosim.errors import StepError as StepError
+    from interarea.cosim.records.files.read import read_record as read_record
     from interarea.cosim.records.playback import Playback as Playback
-    from interarea.cosim.records.read import read_record as read_record
     from interarea.cosim.run.system import System as System
     from interarea.design.controllers.controller import Controller as Controller
     from interarea.design.errors import InfeasibleDesign as InfeasibleDesign
@@ -45,6 +45,7 @@ if TYPE_CHECKING:  # what the table below says, for type checkers and editors
     from interarea.grids import reduce as reduce
     from interarea.models.errors import InterareaError as InterareaError
     from interarea.models.errors import UserError as UserError
+    from interarea.records import damping_trend as damping_trend
     from interarea.records import fit as fit
     from interarea.records import meter as meter
     from interarea.simulation import Channel as Channel
@@ -62,11 +63,11 @@ _PUBLIC = {
     "synthesis": "design_controller load_controller certify",
     "simulation": "simulate compare Channel sweep read_sweep",
     "control_systems": "delay_margin delayed_poles hinfsyn h2syn",
-    "records": "meter fit",
+    "records": "meter damping_trend fit",
     "exchange": "build_fmu write_ssp write_container check",
     "design.controllers.controller": "Controller",
     "cosim.run.system": "System",
-    "cosim.records.read": "read_record",
+    "cosim.records.files.read": "read_record",
     "cosim.records.playback": "Playback",
     "models.errors": "InterareaError UserError",
     "design.errors": "InfeasibleDesign UncertifiedDesign",

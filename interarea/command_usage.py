@@ -26,7 +26,7 @@ _REQUIRED = {
     "controller": "cosim.scenario.names:require_controller",
     "design": "cosim.scenario.named:design_file",
     "detector": "cosim.scenario.named:require_detector",
-    "record": "cosim.records.read:require_record",
+    "record": "cosim.records.files.tables:require_record",
     "scenario": "cosim.scenario.named:scenario_file",
     "subject": "cosim.scenario.named:require_subject",
     "text": "cosim.scenario.named:require_text",

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from interarea.cosim.records.brought import brought
+from interarea.cosim.records.files.read import read_pieces, read_record
 from interarea.cosim.records.fit import Fit, fitted
 from interarea.cosim.records.meter import Meter
 from interarea.cosim.records.meter import meter as metered
-from interarea.cosim.records.read import read_record
 from interarea.cosim.records.record import Record
+from interarea.cosim.records.trend import EVERY_S, Trend, trend
 from interarea.fmu_build.write.cache import default_cache
 from interarea.grids import case_like
 
@@ -55,6 +57,43 @@ def meter(
         return metered(one, band_hz=band_hz, quantity=quantity, channels=channels, modes=modes)
     other = _record(beside, frequency_hz)
     return brought(one, other, band_hz=band_hz, quantity=quantity, channels=channels, modes=modes)
+
+
+def damping_trend(
+    record: str | Path | pd.DataFrame,
+    case: Case | str | Path | None = None,
+    *,
+    every_s: float = EVERY_S,
+    window_s: tuple[float, float] | None = None,
+    units: Mapping[str, str] | None = None,
+    band_hz: tuple[float, float] = (0.1, 2.5),
+    quantity: str | None = None,
+    channels: Sequence[str] = (),
+) -> Trend:
+    """Meter each part of a long record, and follow its swings from part to part.
+
+    As ``interarea meter FILE --every SECONDS`` does. A csv or Parquet file is read part by part.
+
+    Parameters
+    ----------
+    record : a path or a DataFrame. every_s : length of a part, s; what is left at the end is one too.
+    window_s : parts that do not lie within are left out, s. units : as `read_record` takes them.
+    case, band_hz, quantity, channels : as `meter` takes them.
+
+    Raises
+    ------
+    UserError : another kind of file, or no part of it can be metered; the first reason is said.
+    """
+    grid = None if case is None else case_like(case)
+    frequency_hz = 60.0 if grid is None else grid.frequency_hz
+    modes = () if grid is None else modes_in(grid, band_hz)
+    low, high = window_s or (-inf, inf)
+    pieces = (
+        piece
+        for piece in read_pieces(record, every_s, units=units, frequency_hz=frequency_hz)
+        if low <= piece.start_s and piece.end_s <= high
+    )
+    return trend(pieces, every_s, band_hz=band_hz, quantity=quantity, channels=channels, modes=modes)
 
 
 def modes_in(case: Case, band_hz: tuple[float, float]) -> tuple[Mode, ...]:

@@ -56,6 +56,10 @@ FUNCTIONS = {
     "meter": "record: Record | str | Path | pd.DataFrame, case: Case | str | Path | None = None, *, "
     "beside: Record | str | Path | pd.DataFrame | None = None, band_hz: tuple[float, float] = (0.1, 2.5), "
     "quantity: str | None = None, channels: Sequence[str] = () -> Meter",
+    "damping_trend": "record: str | Path | pd.DataFrame, case: Case | str | Path | None = None, *, "
+    "every_s: float = 600.0, window_s: tuple[float, float] | None = None, "
+    "units: Mapping[str, str] | None = None, band_hz: tuple[float, float] = (0.1, 2.5), "
+    "quantity: str | None = None, channels: Sequence[str] = () -> Trend",
     "fit": "record: Record | str | Path | pd.DataFrame, case: Case | str | Path, machine: str, "
     "parameters: Sequence[str] = (), *, rest_s: float = 0.5 -> Fit",
     "delay_margin": "loop: SystemLike, *, sign: int = -1, upto_s: float = 10.0 -> DelayMargin",

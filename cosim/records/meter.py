@@ -26,7 +26,7 @@ _JOLT = 5.0  # of the largest motion over its median: a disturbance
 _WINDOW_S = 2.0
 _POOR_FIT = 0.1  # misfit of a ring-down over its largest value, above which it says nothing
 _LEAST_STRENGTH = 0.05
-_NEAR_HZ = 0.12  # of a frequency: a mode of a case that it may be
+NEAR_HZ = 0.12  # of a frequency: a mode of a case that it may be
 _LIKE = 0.8  # square of the cosine of two shapes that are one
 _LEAST_RING_S = 4.0
 
@@ -298,21 +298,25 @@ def _shape(swings: Swings, amplitudes: npt.NDArray[np.complex128]) -> dict[str, 
     return {n: complex(a / largest) for n, a in zip(names, amplitudes, strict=True)}
 
 
+def likeness(one: Mapping[str, complex], other: Mapping[str, complex]) -> float:
+    """Return the squared cosine of two shapes at the terminals of both; 0 where they share fewer than two."""
+    both = [t for t in one if t in other]
+    if len(both) < 2:
+        return 0.0
+    a, b = (np.array([complex(shape[t]) for t in both]) for shape in (one, other))
+    a, b = (a - a.mean(), b - b.mean()) if len(both) >= 3 else (a, b)
+    return float(abs(np.vdot(a, b)) ** 2 / max(float(np.vdot(a, a).real * np.vdot(b, b).real), 1e-300))
+
+
 def _named(swing: Swing, modes: Sequence[Mode]) -> Swing:
     """Return a swing with the name of the mode of a case that has its frequency and shape."""
     best, fits = None, _LIKE
     for mode in modes:
-        if not abs(mode.frequency_hz - swing.frequency_hz) <= _NEAR_HZ * swing.frequency_hz:
+        if not abs(mode.frequency_hz - swing.frequency_hz) <= NEAR_HZ * swing.frequency_hz:
             continue
-        both = [t for t in swing.shape if t in mode.shape]
-        if len(both) < 2:
-            continue
-        a = np.array([swing.shape[t] for t in both])
-        b = np.array([complex(mode.shape[t]) for t in both])
-        a, b = (a - a.mean(), b - b.mean()) if len(both) >= 3 else (a, b)
-        like = abs(np.vdot(a, b)) ** 2 / max(float(np.vdot(a, a).real * np.vdot(b, b).real), 1e-300)
+        like = likeness(swing.shape, mode.shape)
         if like >= fits:
-            best, fits = mode, float(like)
+            best, fits = mode, like
     if best is None:
         return swing
     return replace(swing, mode=best.name, mode_damping=best.damping_ratio)

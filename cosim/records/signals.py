@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
-from .even import resampled
+from .files.even import resampled
 from .record import BAND_HZ, Array, Record, RecordError
 
 #: what is looked at where it was measured, the best first

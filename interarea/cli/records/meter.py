@@ -6,19 +6,35 @@ import json
 from cmath import phase
 from math import degrees
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, cast
+from statistics import median
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
 from ...command_usage import naming
 from ..terminal import busy, note, print_table
-from .options import Band, CaseName, RecordFile, Units, Window, band_of, case_named, opened
+from .options import (
+    Band,
+    CaseName,
+    RecordFile,
+    Units,
+    Window,
+    band_of,
+    case_named,
+    opened,
+    units_of,
+    window_of,
+)
 
 if TYPE_CHECKING:
     from interarea.cosim.records.brought import Brought
     from interarea.cosim.records.meter import Meter, Swing
+    from interarea.cosim.records.trend import Track, Trend
+    from interarea.models.case.case import Case
 
 _SHOWN = 4  #: terminals of a shape
+_OFTEN = 0.05  #: of the parts: a swing in fewer is counted alone
+_REFUSED_SHOWN = 5
 
 
 def meter(
@@ -43,6 +59,14 @@ def meter(
             callback=naming("record"),
         ),
     ] = None,
+    every: Annotated[
+        float | None,
+        typer.Option(
+            "--every",
+            metavar="SECONDS",
+            help="follow each swing through parts of that length, such as 600; the file may be of a day",
+        ),
+    ] = None,
     window: Window = None,
     unit: Units = None,
     json_: Annotated[bool, typer.Option("--json", help="print JSON instead of a table")] = False,
@@ -51,6 +75,10 @@ def meter(
     region = band_of(band)
     grid = case_named(case)
     frequency_hz = grid.frequency_hz if grid else 60.0
+    if every is not None:
+        looked_at = {"band_hz": region, "quantity": quantity, "channels": channel or ()}
+        _trend(file, grid, every, beside, window, unit, looked_at, json_)
+        return
     record = opened(file, window, unit, frequency_hz)
     other = None if beside is None else opened(beside, None, unit, frequency_hz)
     from interarea.records import meter as metered
@@ -67,6 +95,81 @@ def meter(
     _print(result, case)
     if other is not None:
         _print_brought(cast("Brought", result), case)
+
+
+def _trend(
+    file: Path,
+    grid: Case | None,
+    every_s: float,
+    beside: Path | None,
+    window: str | None,
+    units: list[str] | None,
+    looked_at: dict[str, Any],
+    json_: bool,
+) -> None:
+    """Print what became of each swing over the parts of a file."""
+    from interarea.cosim.records.record import RecordError
+    from interarea.records import damping_trend
+
+    if beside is not None:
+        raise RecordError("--every and --beside: allowed: one of them; meter the two records by themselves")
+    with busy(f"metering {file.name}"):
+        result = damping_trend(
+            file, grid, every_s=every_s, window_s=window_of(window), units=units_of(units), **looked_at
+        )
+    for line in result.notes:
+        note(f"{file.name}: {line}")
+    if json_:
+        typer.echo(json.dumps(result.as_dict(), indent=2, allow_nan=False))
+        return
+    refused = [part for part in result.parts if part.meter is None]
+    for part in refused[:_REFUSED_SHOWN]:
+        note(f"{_clock(result, part.start_s)}: {part.why}")
+    if len(refused) > _REFUSED_SHOWN:
+        note(f"... and {len(refused) - _REFUSED_SHOWN} parts more that say nothing; --json has them")
+    shown = [t for t in result.tracks if len(t.swings) >= _OFTEN * len(result.parts) or t.forced]
+    print_table(
+        f"{result.source}: {len(result.parts)} parts of {result.every_s:g} s, {result.quantity}; "
+        "intervals of 95 %",
+        ("Hz", "mode", "parts", "damping ratio, median", "least, at", "forced", "rms, largest, at"),
+        [_track_row(result, track) for track in shown],
+    )
+    if rare := len(result.tracks) - len(shown):
+        typer.echo(f"{rare} swings more, each in fewer than {_OFTEN:.0%} of the parts; --json has them")
+
+
+def _track_row(result: Trend, track: Track) -> tuple[str, ...]:
+    estimates = track.estimates
+    middle, least = "-", "-"
+    if estimates:
+        middle = f"{median(e.damping_ratio for e in estimates.values()):.4f}"
+        part = min(estimates, key=lambda k: estimates[k].damping_ratio)
+        low, high = estimates[part].damping_interval
+        when = _clock(result, result.parts[part].start_s)
+        least = f"{estimates[part].damping_ratio:.4f} ({low:.4f} to {high:.4f}), {when}"
+    starts = [_clock(result, result.parts[k].start_s) for k in track.forced]
+    forced = f"{len(starts)}: {starts[0]} to {starts[-1]}" if starts else ""
+    largest = max(track.swings, key=lambda k: track.swings[k].amplitude)
+    when = _clock(result, result.parts[largest].start_s)
+    return (
+        f"{track.frequency_hz:.3f}",
+        track.mode,
+        f"{len(track.swings)} of {len(result.parts)}",
+        middle,
+        least,
+        forced,
+        f"{track.swings[largest].amplitude:.3g} {result.unit}, {when}",
+    )
+
+
+def _clock(result: Trend, start_s: float) -> str:
+    """Return when a part begins: a time of day where the file has dates, else since its first sample."""
+    if result.start:
+        from pandas import Timedelta, Timestamp
+
+        return str((Timestamp(result.start) + Timedelta(seconds=start_s)).strftime("%d %H:%M:%S"))
+    minutes, seconds = divmod(round(start_s), 60)
+    return f"{minutes // 60:d}:{minutes % 60:02d}:{seconds:02d}"
 
 
 def _print_brought(result: Brought, case: str | None) -> None:

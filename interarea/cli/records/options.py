@@ -46,7 +46,17 @@ Units = Annotated[
 
 def opened(file: Path, window: str | None, units: list[str] | None, frequency_hz: float = 60.0) -> Record:
     """Return the record of a file; say on stderr what was assumed."""
-    from interarea.cosim.records.read import read_record
+    from interarea.cosim.records.files.read import read_record
+
+    span = window_of(window)
+    record = read_record(file, units=units_of(units), window_s=span, frequency_hz=frequency_hz)
+    for line in record.notes:
+        note(f"{file.name}: {line}")
+    return record
+
+
+def units_of(units: list[str] | None) -> dict[str, str]:
+    """Return channel or quantity -> unit, of each `--unit`."""
     from interarea.cosim.records.record import RecordError
 
     named = {}
@@ -55,11 +65,12 @@ def opened(file: Path, window: str | None, units: list[str] | None, frequency_hz
         if not equals:
             raise RecordError(f"--unit {text!r}, wanted WHAT=UNIT, such as VA=rad")
         named[what.strip()] = unit.strip()
-    span = None if window is None else _numbers(window, "--window", "START:END in s, such as 10:70")
-    record = read_record(file, units=named, window_s=span, frequency_hz=frequency_hz)
-    for line in record.notes:
-        note(f"{file.name}: {line}")
-    return record
+    return named
+
+
+def window_of(text: str | None) -> tuple[float, float] | None:
+    """Return start and end, s, of `--window`; None without it."""
+    return None if text is None else _numbers(text, "--window", "START:END in s, such as 10:70")
 
 
 def case_named(name: str | None) -> Case | None:

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 import interarea as ia
-from interarea.cosim.records.read import read_record
+from interarea.cosim.records.files.read import read_record
 from interarea.cosim.records.record import RecordError
 
 RATE = 30.0
@@ -60,7 +60,7 @@ def test_missing_frames_and_samples_are_interpolated_and_said(tmp_path: Path) ->
     assert len(record.time_s) == 300
     np.testing.assert_allclose(record["Sub:1:Ln:1 VA"], np.deg2rad(ANGLE), atol=2e-3)  # 4 samples of 0.5 Hz
     assert "3 frames are missing: interpolated" in record.notes
-    assert any("VA: 4 samples are missing: interpolated" in n for n in record.notes)
+    assert any("interpolated: Sub:1:Ln:1 VA (4)" in n for n in record.notes)
 
 
 def test_a_long_gap_cuts_the_record_and_a_channel_with_one_is_left_out(tmp_path: Path) -> None:
@@ -140,7 +140,7 @@ def test_sixteen_bits_of_a_binary_file_with_a_missing_sample(tmp_path: Path) -> 
     (tmp_path / "r.dat").write_bytes(b"".join(rows))
     record = read_record(path)
     np.testing.assert_allclose(record["VM"], COLUMNS["VM"][1], atol=0.0026)
-    assert any("VM: 1 samples are missing" in n for n in record.notes)
+    assert any("VM (1)" in n for n in record.notes)
 
 
 @pytest.mark.parametrize("kind", ["ASCII", "BINARY32", "FLOAT32"])

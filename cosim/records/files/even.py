@@ -8,12 +8,13 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
+from ..record import ANGLES, Array, RecordError
 from .names import Raw
-from .record import ANGLES, Array, RecordError
 
 _ROUNDED = 0.25  # of a step: a stamp that lies this near to its place is a rounded one
 _MOST_LOST = 0.2  # of a channel's samples
 _LEAST_POINTS = 8
+_NAMED = 3  # channels with missing samples that are named
 
 
 def even_times(source: str, stamps: Array) -> tuple[npt.NDArray[np.intp], float, list[str]]:
@@ -108,6 +109,7 @@ def on_axis(
     everywhere = np.arange(points)
     left: list[Raw] = []
     result, notes = np.empty((points, len(raws))), []
+    filled: dict[str, int] = {}
     for raw, column in zip(raws, values.T, strict=True):
         full = np.full(points, np.nan)
         full[place] = column
@@ -124,15 +126,18 @@ def on_axis(
             continue
         known = np.unwrap(full[there]) if channel.quantity in ANGLES else full[there]
         if there.size < points and there.size < len(np.unique(place)):
-            notes.append(
-                f"{channel.name}: {len(np.unique(place)) - there.size} samples are missing: interpolated"
-            )
+            filled[channel.name] = len(np.unique(place)) - there.size
         result[:, len(left)] = np.interp(everywhere, there, known)
         left.append(raw)
     if not left:
         raise RecordError(
             f"{source}: no channel is left, {'; '.join(notes[:3])}; wanted: channels without long gaps"
         )
+    if filled:
+        most = sorted(filled, key=lambda name: -filled[name])[:_NAMED]
+        more = f", and {len(filled) - _NAMED} channels more" if len(filled) > _NAMED else ""
+        named = ", ".join(f"{name} ({filled[name]})" for name in most)
+        notes.append(f"samples are missing and interpolated: {named}{more}")
     return result[:, : len(left)], left, notes
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from .record import Array, RecordError
+from ..record import Array, RecordError
 
 #: data type -> type of an analog number, the number that means a missing one
 _TYPES: dict[str, tuple[str, float]] = {

@@ -6,7 +6,7 @@ import math
 import re
 from dataclasses import dataclass
 
-from .record import Channel
+from ..record import Channel
 
 _RAD = math.pi / 180.0
 #: unit as files write it, in small letters -> quantity it is the unit of ("" several), unit here, factor

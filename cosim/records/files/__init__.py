@@ -1,0 +1,1 @@
+"""Records of measurements as files have them: formats, names of channels, even time axis."""

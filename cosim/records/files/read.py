@@ -1,0 +1,269 @@
+"""Records of measurements read: PMU csv, COMTRADE, channels of PSS/E, results of runs, pandas."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from interarea.models.errors import nearest
+
+from ..record import Array, Channel, Record, RecordError
+from .even import even_times, longest_piece, on_axis, resampled
+from .names import Raw, known_unit, known_units, other_channel
+from .tables import Table, tables_of
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+FILL_S = 0.5  #: longest gap that is interpolated
+PIECE_ROWS = 1 << 14  #: that are read at a time: 20 MB of 150 channels
+_INVALID = 0xC000  # of STAT: bits 15 and 14, the data are in error (IEEE C37.118.2)
+_UNSYNCHRONISED = 0x2000
+
+
+def read_record(
+    source: str | Path | pd.DataFrame,
+    *,
+    units: Mapping[str, str] | None = None,
+    rate_hz: float | None = None,
+    window_s: tuple[float, float] | None = None,
+    fill_s: float = FILL_S,
+    frequency_hz: float = 60.0,
+) -> Record:
+    """Read a record of measurements; see `Record`.
+
+    Parameters
+    ----------
+    source : PMU csv of the IEEE form (four header rows: place, F VM VA IM IA, unit, device), COMTRADE (.cfg,
+        .cff), channels of PSS/E as csv, another csv with a header, trajectory.csv or .parquet of a run,
+        or a DataFrame (index or first column: time; ``attrs["units"]``).
+    units : name or quantity of a channel -> its unit, where the source is wrong or silent: ``{"VA": "rad"}``.
+    rate_hz : resample to this rate, with a filter of zero phase. window_s : start and end, s.
+    fill_s : longest gap that is interpolated. frequency_hz : rated, for deviations in pu (PSS/E).
+
+    Raises
+    ------
+    UserError : another kind of file, a wrong scale, times that jump, or nothing that can be read.
+
+    Examples
+    --------
+    >>> import numpy as np, pandas as pd
+    >>> count = np.arange(60)
+    >>> frame = pd.DataFrame({"Time": count / 30.0, "Bus 7 VM [kV]": 230.0 + np.sin(count)})
+    >>> read_record(frame).table().loc[0].to_dict()
+    {'name': 'Bus 7 VM', 'quantity': 'voltage', 'unit': 'kV', 'terminal': 'Bus 7'}
+    """
+    name = _named(source)
+    table = next(tables_of(source, frequency_hz))
+    record = _record(name, table, units or {}, fill_s, rate_hz)
+    return record if window_s is None else record.between(*window_s)
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A part of a file. start_s, end_s : since its first sample. record : what it holds, or why none."""
+
+    start_s: float
+    end_s: float
+    record: Record | RecordError
+
+
+def read_pieces(
+    source: str | Path | pd.DataFrame,
+    every_s: float,
+    *,
+    units: Mapping[str, str] | None = None,
+    frequency_hz: float = 60.0,
+) -> Iterator[Piece]:
+    """Yield the parts of a file, `every_s` long, as records; csv and Parquet are never in memory as a whole.
+
+    source, units, frequency_hz : as `read_record` takes them. A part that cannot be read, such as one with a
+    gap, has the reason in place of its record. What no sample lies in is no part.
+
+    Raises
+    ------
+    UserError : another kind of file, or a length that is not positive.
+    """
+    if not every_s > 0.0:
+        raise RecordError(f"pieces of {every_s:g} s, allowed: above 0")
+    name = _named(source)
+    for start_s, table in _cut(tables_of(source, frequency_hz, PIECE_ROWS), every_s):
+        try:
+            record: Record | RecordError = _record(name, table, units or {}, FILL_S, None)
+        except RecordError as error:
+            record = error
+        yield Piece(start_s, start_s + every_s, record)
+
+
+def _cut(tables: Iterator[Table], every_s: float) -> Iterator[tuple[float, Table]]:
+    """Yield start, s, and table of each part; rows stay in the order of the file."""
+    kept: list[Table] = []
+    part = 0
+    for table in tables:
+        while len(table.stamps):
+            late = table.stamps >= (part + 1) * every_s - 1e-6
+            many = int(np.argmax(late)) if late.any() else len(late)
+            if many:
+                kept.append(_rows(table, slice(0, many)))
+            table = _rows(table, slice(many, None))
+            if late.any():
+                if kept:
+                    yield part * every_s, _joined(kept)
+                    kept = []
+                part = max(part + 1, int((table.stamps[0] + 1e-6) // every_s))
+    if kept:
+        yield part * every_s, _joined(kept)
+
+
+def _rows(table: Table, rows: slice) -> Table:
+    return replace(table, stamps=table.stamps[rows], values=table.values[rows])
+
+
+def _joined(tables: Sequence[Table]) -> Table:
+    """Return tables of one file as one, with the columns that all of them have."""
+    names = [{raw.channel.name for raw in t.raws} for t in tables]
+    common = set.intersection(*names)
+    columns = [[k for k, raw in enumerate(t.raws) if raw.channel.name in common] for t in tables]
+    notes = list(dict.fromkeys(n for t in tables for n in t.notes))
+    values = np.vstack([t.values[:, k] for t, k in zip(tables, columns, strict=True)])
+    stamps = np.concatenate([t.stamps for t in tables])
+    return replace(
+        tables[0], stamps=stamps, values=values, raws=[tables[0].raws[k] for k in columns[0]], notes=notes
+    )
+
+
+def _named(source: object) -> str:
+    return str(source) if isinstance(source, str | Path) else "the table"
+
+
+def _record(
+    name: str, table: Table, units: Mapping[str, str], fill_s: float, rate_hz: float | None
+) -> Record:
+    """Return the record that a table holds.
+
+    Raises
+    ------
+    RecordError : a wrong scale, times that jump, or nothing that moves.
+    """
+    raws = [_with_unit(raw, units, name) for raw in table.raws]
+    _check_units(units, raws, name)
+    values = table.values * np.array([r.factor for r in raws]) + np.array([r.offset for r in raws])
+    values, raws, flagged = _without_flagged(values, raws)
+    _check_scales(name, values, raws)
+    place, step_s, remark = even_times(name, table.stamps)
+    piece, cut = longest_piece(name, place, step_s, fill_s)
+    values, raws, filled = on_axis(name, place[piece], values[piece], raws, step_s, fill_s)
+    notes = [*table.notes, *flagged, *remark, *cut, *filled]
+    if rate_hz is not None:
+        values, step_s, resampling = resampled(values, step_s, rate_hz, name)
+        notes += [resampling] if resampling else []
+    time_s = step_s * np.arange(len(values), dtype=np.float64)
+    channels = tuple(r.channel for r in _distinct(raws))
+    record = Record(name, time_s, values, channels, tuple(notes), table.start)
+    if len(record.still()) == len(channels):
+        raise RecordError(
+            f"{name}: no channel moves in {record.length_s:g} s, wanted: signals of a grid that lives"
+        )
+    return record
+
+
+def _with_unit(raw: Raw, units: Mapping[str, str], source: str) -> Raw:
+    """Return a channel with the unit that the caller names for its name, its last word or its quantity."""
+    channel = raw.channel
+    unit = next(
+        (units[k] for k in (channel.name, channel.name.split(" ")[-1], channel.quantity) if k in units), None
+    )
+    if unit is None:
+        return raw
+    if not known_unit(unit):
+        raise RecordError(f"{source}: units[...] = {unit!r}, allowed: {known_units()}")
+    return other_channel(channel.name, unit, channel.quantity, channel.terminal)
+
+
+def _check_units(units: Mapping[str, str], raws: Sequence[Raw], source: str) -> None:
+    names = {k for r in raws for k in (r.channel.name, r.channel.name.split(" ")[-1], r.channel.quantity)}
+    for key in units:
+        if key not in names:
+            raise RecordError(
+                f"{source}: units names {key!r}, which no channel or quantity is; {nearest(key, names)}"
+            )
+
+
+def _without_flagged(values: Array, raws: list[Raw]) -> tuple[Array, list[Raw], list[str]]:
+    """Return the values without those that a STAT word of their terminal calls wrong, and notes."""
+    notes = []
+    values = values.copy()
+    for k, raw in enumerate(raws):
+        if raw.channel.quantity != "status" or not np.nanmax(values[:, k], initial=0.0) > 1.0:
+            continue
+        word = np.nan_to_num(values[:, k]).astype(np.int64)
+        same = [j for j, r in enumerate(raws) if j != k and r.channel.terminal == raw.channel.terminal]
+        wrong = (word & _INVALID) != 0
+        if wrong.any():
+            values[np.ix_(wrong, same)] = np.nan
+            notes.append(f"{raw.channel.name}: {int(wrong.sum())} samples are flagged as wrong: left out")
+        late = int(((word & _UNSYNCHRONISED) != 0).sum())
+        if late:
+            notes.append(
+                f"{raw.channel.name}: {late} samples without a synchronised clock: taken, angles uncertain"
+            )
+    left = [k for k, r in enumerate(raws) if r.channel.quantity != "status"]
+    return values[:, left], [raws[k] for k in left], notes
+
+
+def _check_scales(source: str, values: Array, raws: Sequence[Raw]) -> None:
+    """Raise for values that their unit cannot have."""
+    for k, raw in enumerate(raws):
+        channel, column = raw.channel, values[:, k]
+        column = column[np.isfinite(column)]
+        if not column.size:
+            continue
+        if channel.quantity == "voltage angle":
+            _check_wraps(source, channel, column, raw.factor)
+            continue
+        middle = float(np.median(column))
+        if channel.quantity == "frequency" and not (40.0 <= middle <= 70.0 or abs(middle) < 5.0):
+            raise _wrong_scale(source, channel, f"{middle:.4g} Hz", "40 to 70 Hz, or a deviation", "mHz")
+        if channel.unit == "kV" and not middle <= 2000.0:
+            raise _wrong_scale(source, channel, f"{middle:.4g} kV", "up to 2000 kV", "V")
+        if channel.quantity in ("voltage", "current") and not middle >= 0.0:
+            raise _wrong_scale(source, channel, f"{middle:.4g} {channel.unit}", "a magnitude from 0", "deg")
+
+
+def _check_wraps(source: str, channel: Channel, column: Array, factor: float) -> None:
+    """Raise where an angle wraps as one of the other unit does. factor : of the unit that was taken."""
+    if factor < 1.0 and _wraps_in_radians(column / factor):
+        raise _wrong_scale(source, channel, "degrees that jump by 6.283", "jumps by 360", "rad")
+    if factor == 1.0 and np.max(np.abs(np.diff(column)), initial=0.0) > 100.0:
+        raise _wrong_scale(source, channel, "radians that jump by 360", "jumps by 6.283", "deg")
+
+
+def _wraps_in_radians(degrees: npt.NDArray[np.float64]) -> bool:
+    jumps = np.abs(np.diff(degrees))
+    return bool(np.sum(np.abs(jumps - 2.0 * np.pi) < 0.3) >= 2 and np.max(np.abs(degrees)) < 3.3)
+
+
+def _wrong_scale(source: str, channel: Channel, got: str, allowed: str, unit: str) -> RecordError:
+    key = channel.name.split(" ")[-1]
+    return RecordError(
+        f"{source}: {channel.name} is {got}, allowed: {allowed}; "
+        f"if the unit is wrong say so, as units = {{{key!r}: {unit!r}}}"
+    )
+
+
+def _distinct(raws: Sequence[Raw]) -> list[Raw]:
+    """Return the channels with names of their own."""
+    seen: dict[str, int] = {}
+    channels = []
+    for raw in raws:
+        name = raw.channel.name
+        seen[name] = seen.get(name, 0) + 1
+        if seen[name] > 1:
+            raw = replace(raw, channel=replace(raw.channel, name=f"{name} ({seen[name]})"))
+        channels.append(raw)
+    return channels

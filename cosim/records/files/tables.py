@@ -1,0 +1,307 @@
+"""Tables of numbers as files of measurements have them, whole or by rows: csv, Parquet, COMTRADE, pandas."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from interarea.models.documents import not_utf8, require_regular
+
+from ...trajectory import TIME
+from ..record import Array, Channel, RecordError
+from .comtrade import read_comtrade
+from .names import Raw, ieee_channel, known_unit, other_channel, own_channel, psse_channel
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+WANTED = "a PMU csv, COMTRADE (.cfg, .cff), channels of PSS/E as csv, or trajectory.csv or .parquet of a run"
+_HEADER_ROWS = 12  # in which a row that begins with a time is looked for
+_TIME_CELL = re.compile(r"\s*\"?(time|t|timestamp|date ?time|zeit)(?![a-z])", re.IGNORECASE)
+_MOST_TEXT = 0.05  # of the samples of a column: more are no number, and it is no channel
+_IEEE_SAID = "PMU csv of the IEEE form; kV are taken from phase to ground, power as three phases"
+_PSSE_SAID = "channels of PSS/E: FREQ as pu of {:g} Hz, powers of machines as pu of SBASE"
+_OWN_SAID = "a run's csv names no units: taken as pu"
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """Rows of a file. stamps : (rows,), s from the first stamp of the file. values : (rows, columns), raw.
+
+    raws : the columns. start : the first stamp of the file where it is a date, else "".
+    """
+
+    stamps: Array
+    values: Array
+    raws: list[Raw]
+    notes: list[str]
+    start: str
+
+
+@dataclass
+class Clock:
+    """Turns stamps into seconds from the first one that it is given. start : that one, where it is a date."""
+
+    source: object
+    start: str = ""
+    _first: Any = field(default=None, repr=False)
+
+    def seconds(self, column: Any, skipped: int = 0) -> Array:
+        """Return times, s. column : pandas Series of numbers or dates. skipped : rows before it.
+
+        Raises
+        ------
+        RecordError : a cell that is neither.
+        """
+        import pandas as pd
+
+        dates = column
+        if not pd.api.types.is_datetime64_any_dtype(column):
+            numbers = pd.to_numeric(column, errors="coerce")
+            if numbers.notna().all():
+                return np.asarray(self._since(numbers.to_numpy(dtype=float), ""))
+            mostly = numbers.notna().mean() > 0.5
+            dates = numbers if mostly else pd.to_datetime(column, errors="coerce", format="mixed")
+        if dates.isna().any():
+            row = int(np.flatnonzero(dates.isna())[0])
+            raise RecordError(
+                f"{self.source}: row {skipped + row + 1} has {str(column.iloc[row])[:40]!r} for its time, "
+                "wanted: seconds or a date"
+            )
+        return np.asarray(self._since(pd.DatetimeIndex(dates).as_unit("ns").asi8, str(dates.iloc[0])) / 1e9)
+
+    def _since(self, values: Any, start: str) -> Any:
+        if self._first is None:
+            self._first, self.start = values[0], start
+        return values - self._first
+
+
+def require_record(path: str | Path) -> None:
+    """Require that a path is that of a regular file, which is not read. Raises RecordError."""
+    require_regular(Path(path), WANTED, RecordError)
+
+
+def tables_of(source: Any, frequency_hz: float, rows: int | None = None) -> Iterator[Table]:
+    """Yield the tables of a source one after the other: of so many rows where the format allows, or one.
+
+    source : a path or a DataFrame. frequency_hz : rated, for deviations in pu (PSS/E). COMTRADE and frames
+    come whole.
+
+    Raises
+    ------
+    RecordError : another kind of file, or one that is damaged.
+    """
+    if not isinstance(source, str | Path):
+        if not hasattr(source, "columns"):
+            raise RecordError(f"source: is {type(source).__name__}, wanted: {WANTED}, or a DataFrame")
+        yield _frame(source, Clock("the table"))
+        return
+    path = Path(source)
+    require_record(path)
+    with path.open("rb") as file:
+        head = file.read(4096)
+    if head.startswith(b"PAR1"):
+        yield from _parquet(path, rows)
+    elif path.suffix.casefold() == ".dat":
+        raise RecordError(
+            f"{path}: holds the data of a COMTRADE record, wanted: its .cfg file, {path.stem}.cfg"
+        )
+    elif path.suffix.casefold() in (".cfg", ".cff"):
+        yield _comtrade(path)
+    elif not head.strip():
+        raise RecordError(f"{path}: is empty, wanted: {WANTED}")
+    elif what := not_utf8(head):
+        if path.suffix.casefold() in (".out", ".outx"):
+            what = "holds channels of PSS/E in its own form, wanted: csv, which its dyntools write"
+        raise RecordError(f"{path}: {what}; {WANTED}")
+    else:
+        yield from _csv(path, frequency_hz, rows)
+
+
+def _csv(path: Path, frequency_hz: float, rows: int | None) -> Iterator[Table]:
+    with path.open(encoding="utf-8-sig", errors="replace", newline="") as file:
+        sample = file.readline()
+        separator = max(",;\t", key=sample.count)
+        file.seek(0)
+        top = [
+            row for row, _ in zip(csv.reader(file, delimiter=separator), range(_HEADER_ROWS), strict=False)
+        ]
+    header, first = _header(path, top)
+    names, extra = [cell.strip() for cell in top[header]], top[header + 1 : first]
+    raws, notes = _named_columns(names, extra, frequency_hz)
+    clock, skipped = Clock(path), first
+    for frame in _frames(path, first, len(names), separator, rows):
+        stamps = clock.seconds(frame[0], skipped)
+        skipped += len(frame)
+        values, texts = _numbers(frame)
+        keep = [k for k, share in enumerate(texts) if share <= _MOST_TEXT]
+        if not keep:
+            raise RecordError(f"{path}: no column holds numbers, wanted: {WANTED}")
+        left_out = [
+            f"{raws[k].channel.name}: {share:.0%} of its cells are no number: left out"
+            for k, share in enumerate(texts)
+            if k not in keep
+        ]
+        yield Table(stamps, values[:, keep], [raws[k] for k in keep], [*notes, *left_out], clock.start)
+
+
+def _frames(path: Path, first: int, width: int, separator: str, rows: int | None) -> Iterator[pd.DataFrame]:
+    """Yield the rows of a csv from `first` on as they are, `rows` at a time."""
+    import pandas as pd
+
+    try:
+        reader = pd.read_csv(
+            path, sep=separator, header=None, skiprows=first, names=list(range(width)), index_col=False,
+            low_memory=False, skip_blank_lines=True, encoding="utf-8-sig", encoding_errors="replace",
+            decimal="," if separator == ";" else ".", chunksize=rows, iterator=True,
+        )  # fmt: skip
+        with reader:
+            for frame in reader if rows else (reader.read(),):
+                if frame.empty:
+                    raise RecordError(f"{path}: no samples, wanted: rows of a time and numbers")
+                yield frame
+    except RecordError:
+        raise
+    except (pd.errors.ParserError, ValueError) as error:
+        raise RecordError(
+            f"{path}: rows of unlike length: {str(error).strip()}; wanted: {width} cells in each"
+        ) from None
+
+
+def _numbers(frame: pd.DataFrame) -> tuple[Array, list[float]]:
+    """Return values (samples, columns after the first), and of each the share of cells without a number."""
+    import pandas as pd
+
+    columns, texts = [], []
+    for k in range(1, frame.shape[1]):
+        numbers = pd.to_numeric(frame[k], errors="coerce")
+        texts.append(float((numbers.isna() & frame[k].notna()).mean()))
+        columns.append(numbers.to_numpy(dtype=float))
+    return np.column_stack(columns), texts
+
+
+def _header(path: Path, rows: list[list[str]]) -> tuple[int, int]:
+    """Return the row that names the columns and that of the first sample."""
+    header = next((k for k, row in enumerate(rows) if len(row) > 1 and _TIME_CELL.match(row[0])), None)
+    if header is None:
+        raise RecordError(f"{path}: no row begins with Time and names columns, wanted: {WANTED}")
+    first = next((k for k in range(header + 1, len(rows)) if _is_data(rows[k])), None)
+    if first is None:
+        raise RecordError(f"{path}: no samples follow the header, wanted: rows of a time and numbers")
+    return header, first
+
+
+def _is_data(row: Sequence[str]) -> bool:
+    """Whether a row of a csv begins with a time and then has a number."""
+
+    def number(cell: str) -> bool:
+        try:
+            float(cell)
+        except ValueError:
+            return False
+        return True
+
+    dated = bool(row) and re.match(r"\s*\d{1,4}[-/.]\d{1,2}[-/.]\d{1,4}[ T]\d", row[0])
+    return bool(row) and (number(row[0]) or bool(dated)) and any(number(c) for c in row[1:])
+
+
+def _named_columns(
+    names: list[str], extra: list[list[str]], frequency_hz: float
+) -> tuple[list[Raw], list[str]]:
+    """Return the channels of the columns after the first, by the rows between their names and the samples."""
+    if len(extra) >= 2 and _kinds(extra[0]):
+        devices = extra[2] if len(extra) > 2 else []
+        columns = range(1, len(names))
+        return [ieee_channel(_place(names, devices, k), extra[0][k], extra[1][k]) for k in columns], [
+            _IEEE_SAID
+        ]
+    psse = [psse_channel(name, frequency_hz) for name in names[1:]]
+    if sum(raw is not None for raw in psse) > len(psse) / 2:
+        channels = [raw or other_channel(name) for raw, name in zip(psse, names[1:], strict=True)]
+        return channels, [_PSSE_SAID.format(frequency_hz)]
+    if names[0] == TIME:
+        return [own_channel(n, "pu") or other_channel(n) for n in names[1:]], [_OWN_SAID]
+    units = _units_row(extra, len(names))
+    return [other_channel(n, u) for n, u in zip(names[1:], units[1:], strict=True)], []
+
+
+def _units_row(extra: list[list[str]], width: int) -> list[str]:
+    """Return the row of units below the names, or empty texts where there is none."""
+    row = [*(extra[0] if extra else []), *[""] * width][:width]
+    return row if sum(known_unit(c) and bool(c.strip()) for c in row) > width / 2 else [""] * width
+
+
+def _kinds(row: list[str]) -> bool:
+    known = {"F", "VM", "VA", "IM", "IA", "P", "Q", "STAT"}
+    return sum(cell.strip().upper() in known for cell in row[1:]) > (len(row) - 1) / 2
+
+
+def _place(names: list[str], devices: list[str], k: int) -> str:
+    """Return the terminal of a column: its place, with the device where that says more."""
+    device = devices[k].strip() if k < len(devices) else ""
+    return names[k] if not device or device in names[k] else f"{names[k]} {device}"
+
+
+def _parquet(path: Path, rows: int | None) -> Iterator[Table]:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    clock = Clock(path)
+    try:
+        # buffered ahead, every group of rows that was read would stay in memory
+        with pq.ParquetFile(path, pre_buffer=False) as file:
+            units = {f.name: (f.metadata or {}).get(b"unit", b"").decode() for f in file.schema_arrow}
+            batches = file.iter_batches(rows) if rows else [file.read()]
+            for batch in batches:
+                frame = batch.to_pandas()
+                frame.attrs["units"] = units
+                yield _frame(frame, clock)
+    except (pa.ArrowException, OSError) as error:
+        raise RecordError(f"{path}: is damaged, {str(error).splitlines()[0]}; wanted: {WANTED}") from None
+
+
+def _frame(frame: pd.DataFrame, clock: Clock) -> Table:
+    """Return what a DataFrame holds, by its attrs or the names of its columns."""
+    import pandas as pd
+
+    attrs = dict(frame.attrs)
+    units = attrs.get("units", attrs.get("unit", {}))
+    times = [c for c in frame.columns if _TIME_CELL.match(str(c)) or str(c) == TIME]
+    if times:
+        column, frame = frame[times[0]], frame.drop(columns=times[:1])
+    elif frame.index.dtype.kind in "fM" or str(frame.index.name) == TIME:
+        column = frame.index.to_series()
+    else:
+        raise RecordError(f"{clock.source}: no column Time and no index of times, wanted: one of them")
+    stamps = clock.seconds(column.reset_index(drop=True))
+    raws, columns = [], []
+    for c in frame.columns:
+        if not (pd.api.types.is_numeric_dtype(frame[c]) or pd.api.types.is_bool_dtype(frame[c])):
+            continue
+        known = attrs.get("quantity", {}).get(c, ""), attrs.get("terminal", {}).get(c, "")
+        unit = units.get(c, "")
+        own = None if any(known) else own_channel(str(c), unit)
+        raws.append(own or other_channel(str(c), unit, *known))
+        columns.append(frame[c].to_numpy(dtype=float))
+    if not columns:
+        raise RecordError(f"{clock.source}: no column of numbers beside the time, wanted: measurements")
+    return Table(stamps, np.column_stack(columns), raws, [], clock.start)
+
+
+def _comtrade(path: Path) -> Table:
+    data = read_comtrade(path)
+    raws = []
+    for c in data.analogs:
+        raw = other_channel(c.name, c.unit, terminal=c.circuit)
+        raws.append(replace(raw, channel=replace(raw.channel, name=c.name)))
+    flags = [Raw(Channel(n, "status", "1", "")) for n in data.flags]
+    stamps = "its time stamps" if data.stamped else "its sampling rates"
+    notes = [f"COMTRADE of {data.station or 'no station'}, time by {stamps}"]
+    values = np.hstack([data.analog, data.status])
+    return Table(data.time_s, values, [*raws, *flags], notes, data.start)
