@@ -5,9 +5,9 @@
 
 G1 of two areas is a round-rotor machine (six windings) with the controls named. The record is what a run of
 the whole grid shows of it, 100 points a second, with white noise of `--noise` of what P and Q move:
-``steps`` has 12 s with three disturbances elsewhere, ``fault`` 30 s with a fault of six cycles in the other area. The start
-values are 20 to 30 % off. Printed of each seed and parameter: how far off the fitted value is, its standard
-deviation, and their ratio; then the largest of all.
+``steps`` has 12 s with three disturbances elsewhere, ``fault`` 30 s with a fault of six cycles in the other
+area. The start values are 20 to 30 % off. Printed of each seed and parameter: how far off the fitted value
+is, its standard deviation, and their ratio; then the largest of all.
 """
 
 from __future__ import annotations

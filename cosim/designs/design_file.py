@@ -252,10 +252,12 @@ def run_design(
     table: DesignTable,
     cache: Path,
     *,
+    start: control.StateSpace | None = None,
     progress: Callable[[str, float, str], object] = lambda step, share, text: None,
 ) -> Designed:
     """Design the controller of `table`; its certificate, on full linear plants with exact latency, too.
 
+    start : a controller that the search begins from too, in place of the one that the design names.
     progress : called with one of `DESIGN_STEPS`, the share of it that is done, and what is reached, in words.
 
     Raises
@@ -267,6 +269,8 @@ def run_design(
     progress(linearising, 0.0, "")
     _check_followed(table)
     points, spec, omega_b = family_plants(table, cache), table.spec(), table.grid.omega_b
+    if start is not None:
+        spec = replace(spec, start=start)
     plants = {name: each.searched for name, each in points.items()}
     for name, plant in plants.items():
         require_moved(name, plant, spec, points[name].modes)

@@ -12,6 +12,7 @@ import numpy as np
 
 from interarea.design.controllers.controller import Controller, plain
 from interarea.design.delay.signal_conditions import Condition
+from interarea.design.reduction.gramians import matrices
 from interarea.design.robust.operating_points import FamilyCertificate, inter_area_band
 from interarea.design.robust.signal_worth import (
     OWN_MASKED,
@@ -21,6 +22,7 @@ from interarea.design.robust.signal_worth import (
     own_alone,
     own_signals,
     signal_worth,
+    states_of,
 )
 from interarea.models.case.case import Case
 
@@ -106,10 +108,46 @@ def _without_losses(code: str) -> str:
 
 
 def design_rival(
-    table: DesignTable, cache: Path, *, progress: Progress = lambda step, share, text: None
+    table: DesignTable,
+    controller: Controller,
+    cache: Path,
+    *,
+    progress: Progress = lambda step, share, text: None,
 ) -> Controller:
-    """Design the rival of `table`. Raises as `rival_table` and `run_design` do."""
-    return run_design(rival_table(table), cache, progress=progress).controller
+    """Design the rival of a controller that the design of `table` fits.
+
+    A design that goes on from a controller has stages for that alone. The search of its rival begins from
+    `controller` as its own signals leave it, too. Raises as `rival_table` and `run_design` do.
+    """
+    rival = rival_table(table)
+    start = None if table.start_from is None else _own_start(rival, controller)
+    return run_design(rival, cache, start=start, progress=progress).controller
+
+
+def _own_start(rival: DesignTable, controller: Controller) -> control.StateSpace | None:
+    """Return a controller with its own signals alone, its states in the rival's order, washouts last.
+
+    None where it has not the states of the rival's parts.
+    """
+    spec = rival.spec()
+    K = own_alone(controller.system)
+    orders = {part.actuator: part.order for part in rival.part}
+    filters = int(spec.washout_s > 0.0)
+    states, washouts = [], []
+    for actuator in spec.actuators:
+        of_output = states_of(K, list(K.output_labels).index(actuator))
+        if len(of_output) != orders[actuator]:
+            return None
+        states += of_output[: orders[actuator] - filters]
+        washouts += of_output[orders[actuator] - filters :]
+    order = states + washouts
+    signals = [list(K.input_labels).index(name) for name in spec.signals]
+    rows = [list(K.output_labels).index(name) for name in spec.actuators]
+    A, B, C, D = matrices(K)
+    return control.ss(
+        A[np.ix_(order, order)], B[np.ix_(order, signals)], C[np.ix_(rows, order)], D[np.ix_(rows, signals)],
+        inputs=list(spec.signals), outputs=list(spec.actuators),
+    )  # fmt: skip
 
 
 def rival_on_record(controller: Controller) -> Controller | None:

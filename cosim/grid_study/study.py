@@ -120,7 +120,7 @@ def study_grid(
             if has_rival(table) and clock.over(rival):
                 clock.leave("the rival that sees own signals alone")
             elif has_rival(table):
-                controller = with_rival(controller, _rival(table, cache, report))
+                controller = with_rival(controller, _rival(table, controller, cache, report))
             report(rival, 1.0)
             study["worth"] = worth(table, controller, cache).as_dict()
             controller.save(out / "controller.json")
@@ -220,7 +220,7 @@ def _local(done: GridDesign, file: Path) -> dict[str, Any]:
     }
 
 
-def _rival(table: DesignTable, cache: Path, report: Report) -> Controller:
+def _rival(table: DesignTable, controller: Controller, cache: Path, report: Report) -> Controller:
     name = "own-signal rival"
     key = content_hash(
         table.grid.hash,
@@ -229,7 +229,9 @@ def _rival(table: DesignTable, cache: Path, report: Report) -> Controller:
     )
 
     def made() -> dict[str, Any]:
-        done = design_rival(table, cache, progress=lambda _, share, __: report(name, 0.99 * share))
+        done = design_rival(
+            table, controller, cache, progress=lambda _, share, __: report(name, 0.99 * share)
+        )
         return done.as_dict()
 
     return Controller.from_dict(cached_json(cache, "grid-rival", key, made))

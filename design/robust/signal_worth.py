@@ -156,7 +156,7 @@ def seen_by(K: control.StateSpace) -> dict[str, tuple[str, ...]]:
     inputs = np.array(K.input_labels)
     seen = {}
     for row, output in enumerate(K.output_labels):
-        reached = np.any(B[_states_of(K, row)] != 0.0, axis=0) | (D[row] != 0.0)
+        reached = np.any(B[states_of(K, row)] != 0.0, axis=0) | (D[row] != 0.0)
         seen[output] = tuple(str(name) for name in inputs[reached])
     return seen
 
@@ -173,7 +173,7 @@ def masked(K: control.StateSpace, sees: Mapping[str, Sequence[str]]) -> control.
     for row, output in enumerate(K.output_labels):
         retained = np.array([name in sees.get(output, ()) for name in inputs], dtype=float)
         direct[row] = D[row] * retained
-        states = _states_of(K, row)
+        states = states_of(K, row)
         if len(states) and np.any(B[states] * retained):
             blocks.append((A[np.ix_(states, states)], B[states] * retained, C[row, states], row))
     size = sum(len(a) for a, _, _, _ in blocks)
@@ -186,7 +186,7 @@ def masked(K: control.StateSpace, sees: Mapping[str, Sequence[str]]) -> control.
     return control.ss(A_all, B_all, C_all, direct, inputs=inputs, outputs=list(K.output_labels), name=K.name)
 
 
-def _states_of(K: control.StateSpace, row: int) -> list[int]:
+def states_of(K: control.StateSpace, row: int) -> list[int]:
     """States from which output `row` is reached, through A too."""
     A, _, C, _ = matrices(K)
     reached = {int(k) for k in np.flatnonzero(C[row])}

@@ -75,14 +75,18 @@ def staged_search(
 ) -> tuple[Array, int, list[tuple[float, Array]]]:
     """Return the parameters after the last stage, evaluations, and (objective, parameters) of every start.
 
-    starts : given ones; `guesses` more are made for the first stage, their gains within `bound`. The best of
-    all after the first stage goes on. descend : L-BFGS for some evaluations; gives both of these.
+    starts : given ones, taken with their best gain; `guesses` more are made for the first stage, their gains
+    within `bound`. The best of all after the first stage goes on. descend : L-BFGS for some evaluations;
+    gives both of these.
     progress : called with (one of `stage_parts`, the share of it that is done, the objective).
     """
     report = progress or _silent
     count_of = len(starts) + guesses
     first = stages[0].of(objective)
-    begun = [*starts, *(first_guess(first, rng, bound) for _ in range(guesses))]
+    begun = [
+        *(with_best_gain(first, theta) for theta in starts),
+        *(first_guess(first, rng, bound) for _ in range(guesses)),
+    ]
     reached, count = [], 0
     for what, theta in zip(stage_parts(1, len(stages), count_of), begun, strict=True):
         theta, used = _through(first, stages[0], theta, balanced, descend, partial(report, what))

@@ -115,7 +115,9 @@ def design(
         done = run_design(table, cache, progress=report)
         designed = done.controller
         if rival_step:
-            rival = design_rival(table, cache, progress=lambda _, share, __: report(rival_step[0], share))
+            rival = design_rival(
+                table, designed, cache, progress=lambda _, share, __: report(rival_step[0], share)
+            )
             designed = with_rival(designed, rival)
             report(rival_step[0], 1.0)
         designed = with_worth(table, designed, cache)
@@ -379,7 +381,9 @@ def _rival(table: DesignTable, controller: Controller, report: Callable[[str, fl
             f"{', '.join(table.signals)}; give its own design with --spec"
         )
     name = "own-signal rival"
-    rival = design_rival(table, default_cache(), progress=lambda _, share, __: report(name, 0.99 * share))
+    rival = design_rival(
+        table, controller, default_cache(), progress=lambda _, share, __: report(name, 0.99 * share)
+    )
     report(name, 1.0)
     return rival
 
