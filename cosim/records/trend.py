@@ -11,7 +11,7 @@ from .ambient import Estimate
 from .files.read import Piece
 from .forced import FORCED, MODAL
 from .meter import NEAR_HZ, Meter, Swing, likeness, meter
-from .record import BAND_HZ, RecordError
+from .record import BAND_HZ, Record, RecordError
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -123,32 +123,44 @@ def trend(
     """
     parts: list[Part] = []
     tracks: list[dict[int, Swing]] = []
-    of_first, start = None, ""
+    first, start = None, ""
     for piece in pieces:
+        if first is not None and not channels:
+            quantity = first.quantity  # of one part after the other the same
         try:
-            if isinstance(piece.record, RecordError):
-                raise piece.record
-            result = meter(piece.record, band_hz=band_hz, quantity=quantity, channels=channels, modes=modes)
+            record = _record(piece)
+            result = meter(record, band_hz=band_hz, quantity=quantity, channels=channels, modes=modes)
         except RecordError as error:
             parts.append(Part(piece.start_s, None, str(error)))
             continue
-        if of_first is None:
-            of_first, start = result, piece.record.start
+        if first is None:
+            first, start = result, record.start
         parts.append(Part(piece.start_s, result))
         _follow(tracks, len(parts) - 1, result.swings)
-    if of_first is None:
+    if first is None:
         raise RecordError(parts[0].why if parts else "the file holds no part with samples, wanted: samples")
     order = sorted(tracks, key=lambda t: -len(t))
-    of_parts = [part.meter.notes for part in parts if part.meter]
-    notes = [n for n in of_first.notes if all(n in each for each in of_parts)]
-    own = [n for each in of_parts for n in each if n not in notes]
-    if own:
-        many = sum(any(n not in notes for n in each) for each in of_parts)
-        notes.append(f"{many} of {len(parts)} parts have notes of their own, the first: {own[0]}")
     return Trend(
-        of_first.source, start, every_s, of_first.quantity, of_first.unit, tuple(parts),
-        tuple(map(Track, order)), tuple(notes),
+        first.source, start, every_s, first.quantity, first.unit, tuple(parts), tuple(map(Track, order)),
+        _notes(parts),
     )  # fmt: skip
+
+
+def _record(piece: Piece) -> Record:
+    if isinstance(piece.record, RecordError):
+        raise piece.record
+    return piece.record
+
+
+def _notes(parts: Sequence[Part]) -> tuple[str, ...]:
+    """Return the notes that all parts have, and one on those that only some have."""
+    each = [part.meter.notes for part in parts if part.meter]
+    common = [n for n in each[0] if all(n in notes for notes in each)]
+    own = [[n for n in notes if n not in common] for notes in each]
+    if many := sum(map(bool, own)):
+        example = next(notes[0] for notes in own if notes)
+        common.append(f"{many} of {len(parts)} parts have notes of their own, the first: {example}")
+    return tuple(common)
 
 
 def _follow(tracks: list[dict[int, Swing]], part: int, swings: Sequence[Swing]) -> None:

@@ -98,7 +98,7 @@ def design(
     design_file(spec, also=case_names())  # before what takes seconds to load
     from interarea.cosim.designs.comparison import FIGURES, compare, save_comparison
     from interarea.cosim.designs.design_file import DESIGN_STEPS, load_design, run_design
-    from interarea.cosim.designs.worth import design_rival, has_rival, with_rival, with_worth
+    from interarea.cosim.designs.worth import has_rival, with_rival, with_worth
     from interarea.fmu_build.write.cache import default_cache
     from interarea.models.case.case import load_case
 
@@ -115,11 +115,7 @@ def design(
         done = run_design(table, cache, progress=report)
         designed = done.controller
         if rival_step:
-            rival = design_rival(
-                table, designed, cache, progress=lambda _, share, __: report(rival_step[0], share)
-            )
-            designed = with_rival(designed, rival)
-            report(rival_step[0], 1.0)
+            designed = with_rival(designed, _rival(table, designed, report))
         designed = with_worth(table, designed, cache)
         out.parent.mkdir(parents=True, exist_ok=True)
         designed.save(out)
@@ -375,7 +371,9 @@ def _rival(table: DesignTable, controller: Controller, report: Callable[[str, fl
     from interarea.fmu_build.write.cache import default_cache
     from interarea.models.errors import UserError
 
-    if set(table.signals) != set(controller.inputs) or set(table.actuators) != set(controller.outputs):
+    followed = {table.guard.follows} if table.guard is not None else set()
+    seen = set(controller.inputs) - (followed - set(table.signals))
+    if set(table.signals) != seen or set(table.actuators) != set(controller.outputs):
         raise UserError(
             f"--worth: {controller.name} sees {', '.join(controller.inputs)}, the design that judges it "
             f"{', '.join(table.signals)}; give its own design with --spec"
