@@ -145,13 +145,13 @@ def end_at_once() -> None:
 
 def _end_with_pool() -> None:
     """What a process of a pool does first: interrupts are the main process's business, so is its end."""
-    from threadpoolctl import threadpool_limits
+    from .threads import one_thread
 
     for name in ("SIGINT", "SIGHUP"):
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    threadpool_limits(1)
+    one_thread()
     parent = multiprocessing.parent_process()
     assert parent is not None
 

@@ -8,11 +8,10 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from threadpoolctl import threadpool_limits
-
 from interarea.design.controllers.controller import plain
 from interarea.models.case.case import Case
 from interarea.models.files import write_rows, write_whole
+from interarea.models.threads import one_thread
 
 from ..errors import ScenarioError
 from ..grid_study.automatic import Report
@@ -58,7 +57,7 @@ def study_actuators(
     OSError, or what it caused : the machine cannot do it.
     """
     clock = Clock(minutes)
-    with threadpool_limits(1):
+    with one_thread():
         report(STAGES[0], 0.0)
         grid = modes_of_grid(case, cache)
         exciters = tuple(name for name in grid.plant.inputs if name.endswith("_vs"))

@@ -9,14 +9,13 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from threadpoolctl import threadpool_limits
-
 from interarea.design.controllers.controller import Controller, plain
 from interarea.design.modes.loop_points import LoopSet
 from interarea.design.robust.smoothed_objective import BandOffsets
 from interarea.models.case.case import Case
 from interarea.models.errors import InterareaError
 from interarea.models.files import write_rows, write_whole
+from interarea.models.threads import one_thread
 
 from ..designs.family import at_point
 from ..errors import machine_error
@@ -94,7 +93,7 @@ def study_links(
         _write(plain(study), out)
         return study
 
-    with threadpool_limits(1):
+    with one_thread():
         for size in range(1, MOST_LOOPS + 1):
             for name, one in studies.items():
                 stage = _stage(name, size)

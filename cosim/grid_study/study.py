@@ -9,8 +9,6 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from threadpoolctl import threadpool_limits
-
 from interarea.design.controllers.controller import Controller, plain
 from interarea.design.delay.signal_conditions import Condition
 from interarea.design.modes.loop_points import LoopSet
@@ -20,6 +18,7 @@ from interarea.models.case.case import Case
 from interarea.models.case.write_toml import export_toml
 from interarea.models.errors import InterareaError
 from interarea.models.files import write_whole
+from interarea.models.threads import one_thread
 
 from ..designs.design_file import DesignTable
 from ..designs.family import FamilyPlant
@@ -86,7 +85,7 @@ def study_grid(
         "choices": choices.model_dump(mode="json"),
         "no_time_for": clock.left_out,
     }
-    with threadpool_limits(1):
+    with one_thread():
         report(modes, 0.0)
         grid = modes_of_grid(case, cache)
         shown, shapes = grid.shown, mode_shapes(grid.shown, case)

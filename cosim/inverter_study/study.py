@@ -8,12 +8,11 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from threadpoolctl import threadpool_limits
-
 from interarea.design.controllers.controller import plain
 from interarea.models.case.case import Case
 from interarea.models.errors import InterareaError
 from interarea.models.files import write_rows, write_whole
+from interarea.models.threads import one_thread
 
 from ..errors import machine_error
 from ..grid_study.automatic import Report
@@ -75,7 +74,7 @@ def study_inverters(
         _write(plain(study), out)
         return study
 
-    with threadpool_limits(1):
+    with one_thread():
         for part in _PARTS:
             for one in swept:
                 stage = f"{part}, {one.name}"

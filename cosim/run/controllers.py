@@ -7,8 +7,6 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
-from threadpoolctl import threadpool_limits
-
 from interarea.design.controllers.bank import ControllerBank, load_controller
 from interarea.design.controllers.bundled import (
     shipped_bank,
@@ -29,6 +27,7 @@ from interarea.fmu_build.write.cache import (
 from interarea.models.blocks.controller import with_trust
 from interarea.models.blocks.variables import Block
 from interarea.models.case.case import Case
+from interarea.models.threads import one_thread
 
 from ..errors import ScenarioError, nearest
 from ..scenario.names import CONTROLLER_NAMES, NAMED_CONTROLLERS, require_controller
@@ -115,7 +114,7 @@ def design_controller(
     )
 
     def make(path: Path) -> Path:
-        with threadpool_limits(1):  # on two cores the pools of numpy and scipy fight
+        with one_thread():  # on two cores the pools of numpy and scipy fight
             return _design(case, name, cache, reduce, specs).save(path)
 
     path = artefact(cache, "controllers", f"{name}-{key}", ".json", make)
@@ -126,7 +125,7 @@ def designed_anew(
     case: Case, name: str, cache: Path, specs: Mapping[str, StudySpec] | None = None
 ) -> Controller:
     """Design controller `name` (wdc | cc | ftc) of a case again, whatever the cache holds of it."""
-    with threadpool_limits(1):
+    with one_thread():
         return _design(case, name, cache, True, specs)
 
 

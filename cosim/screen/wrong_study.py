@@ -11,12 +11,11 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from threadpoolctl import threadpool_limits
-
 from interarea.design.controllers.detector_record import DetectorDesign, DetectorDesignError, load_detector
 from interarea.fmu_build.write.cache import code_hash
 from interarea.models.case.case import Case
 from interarea.models.files import write_rows, write_whole
+from interarea.models.threads import one_thread
 
 from ..designs.acceptance import FaultPlace
 from ..plots.html import page_environment
@@ -80,7 +79,7 @@ def study_wrong_signals(
         _write(study, out)
         return study
 
-    with threadpool_limits(1):
+    with one_thread():
         for subject, (making, running) in zip(subjects, _pairs(subjects), strict=True):
             report(making, 0.0)
             file, problem = _detector(subject, out, cache, partial(report, making))

@@ -8,7 +8,6 @@ from typing import Any
 
 import control
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from interarea.design.certificates.closed_loop import closed_loop_matrix, effort, swing_poles
 from interarea.design.controllers.controller import Controller
@@ -23,6 +22,7 @@ from interarea.design.synthesis.reduced_order import closed_norm, on_difference,
 from interarea.design.synthesis.study_designs import FtcSpec, StudySpec, WdcSpec
 from interarea.fmu_build.write.cache import cached_json, code_hash, content_hash, numerics_versions
 from interarea.models.case.case import load_case
+from interarea.models.threads import one_thread
 
 from ..run.artefacts import linear_plant, plant_fmu
 from ..run.controllers import controller_fmu, design_controller
@@ -182,5 +182,5 @@ def method_record(
             record["printed_ftc"] = printed_ftc(relative, case.omega_b, controllers["ftc"], ftc)
         return record
 
-    with threadpool_limits(1):
+    with one_thread():
         return dict(cached_json(cache, "methods", key, make))

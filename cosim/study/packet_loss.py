@@ -12,13 +12,13 @@ from typing import Any
 
 import control
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from interarea.design.controllers.controller import Controller
 from interarea.design.delay.packet_loss import LossyChannel, OnLoss, PacketLoop, critical_loss
 from interarea.design.synthesis.study_designs import StudySpec
 from interarea.fmu_build.write.cache import cached_json, code_hash, content_hash
 from interarea.models.case.case import load_case
+from interarea.models.threads import one_thread
 
 from ..run.artefacts import plant_fmu, plant_for_controllers
 from ..run.controllers import controller_fmu, design_controller
@@ -52,7 +52,7 @@ def mean_square_record(
         plant = plant_for_controllers(case, cache)
         return mean_square_rows(plant, controllers, packets)
 
-    with threadpool_limits(1):
+    with one_thread():
         return list(cached_json(cache, "packets", key, make))
 
 

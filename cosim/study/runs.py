@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from threadpoolctl import threadpool_limits
 
 from interarea.design.controllers.controller import Controller
 from interarea.fmu_build.write.cache import (
@@ -28,6 +27,7 @@ from interarea.fmu_build.write.cache import (
 from interarea.models.case.case import load_case
 from interarea.models.files import temporary_folder
 from interarea.models.processes import process_pool
+from interarea.models.threads import one_thread
 
 from ..master.kernel.build import kernel_or_reason
 from ..results.metrics import ring_down, uniform
@@ -208,7 +208,7 @@ def run_folders(
 
 def _run_into(provided: Sequence[tuple[Document, Path | None, Path]], cache: Path) -> None:
     """Run scenarios with their controllers and keep their results in their folders; FMUs are opened once."""
-    with threadpool_limits(1), closing(Fmus(cache)) as fmus:
+    with one_thread(), closing(Fmus(cache)) as fmus:
         controllers = {file: Controller.load(file) for _, file, _ in provided if file is not None}
         for document, file, folder in provided:
             own = None if file is None else controllers[file]

@@ -13,8 +13,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from threadpoolctl import threadpool_limits
-
 from interarea.design.errors import SolverError
 from interarea.design.lmi.clarabel_engine import solve_clarabel
 from interarea.design.lmi.problem import Problem, Solution
@@ -23,6 +21,7 @@ from interarea.design.lmi.solve import recorded, violation
 from interarea.design.synthesis.study_designs import StudySpec
 from interarea.fmu_build.write.cache import cached_json, code_hash, content_hash, numerics_versions
 from interarea.models.case.case import load_case
+from interarea.models.threads import one_thread
 
 from ..run.artefacts import plant_fmu
 from ..run.controllers import designed_anew
@@ -64,7 +63,7 @@ def second_solver_record(
             rows += [compared(name, k + 1, problem, solution) for k, (problem, solution) in enumerate(record)]
         return rows
 
-    with threadpool_limits(1):
+    with one_thread():
         rows = cached_json(cache, "second-solver", key, make)
     return {"tolerance": TOLERANCE, "time_limit_s": TIME_LIMIT_S, "rows": rows}
 

@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import control
-from threadpoolctl import threadpool_limits
 
 from interarea.design.controllers.controller import Controller
 from interarea.design.linear.linearise import remove_reference, select, speeds_in_rad
@@ -38,6 +37,7 @@ from interarea.models.case.case import load_case
 from interarea.models.files import temporary_folder, together, write_whole
 from interarea.models.grid.powerflow import solve_powerflow
 from interarea.models.processes import process_pool
+from interarea.models.threads import one_thread
 
 from ..explorer.page import write_linked_explorer
 from ..explorer.wasm import container_wasm
@@ -100,7 +100,7 @@ def run_study(
         reported(label, 0.0)
         return lambda done: reported(label, done)
 
-    with threadpool_limits(1), ExitStack() as ending:
+    with one_thread(), ExitStack() as ending:
         done = stage("plant")
         # processes beside need nothing but what the cache holds by the time they are asked
         beside = ending.enter_context(process_pool(2))

@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from interarea.design.certificates.closed_loop import closed_loop_matrix
 from interarea.design.controllers.bank import ControllerBank, load_controller
@@ -28,6 +27,7 @@ from interarea.design.synthesis.study_designs import StudySpec
 from interarea.fmu_build.write.cache import cached_json, code_hash, content_hash, source_hash
 from interarea.models.case.case import Case, load_case
 from interarea.models.case.variants import operating_variant
+from interarea.models.threads import one_thread
 
 from ..designs.fault_loops import LONG_S, ControllerOrBank, FaultLoops
 from ..designs.fault_runs import FaultRuns, Outcome, longest_kept
@@ -145,7 +145,7 @@ def _rows_of_case(
     )
 
     def make() -> list[dict[str, Any]]:
-        with threadpool_limits(1):
+        with one_thread():
             return _make_rows(spec, controllers, case, cache)
 
     named = {"point": point["name"], "ceiling": ceiling["name"]}

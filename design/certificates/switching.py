@@ -23,12 +23,14 @@ import control
 import numpy as np
 from scipy.linalg import block_diag, expm, solve_continuous_lyapunov
 
+from interarea.models.threads import one_blas_thread
+
 from ..controllers.bank import ControllerBank
 from ..errors import UncertifiedDesign
 from ..linear.linearise import select
 from ..lmi.expressions import Program
 from ..lmi.problem import Matrix
-from ..lmi.solve import one_blas_thread, solve
+from ..lmi.solve import solve
 from ..reduction.balanced import balanced_truncation
 
 #: time constants after which a fade is over: what is left, 1e-11, is below the margin of the certificate

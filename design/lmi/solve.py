@@ -16,30 +16,14 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import replace
-from functools import lru_cache
 
 import numpy as np
-import scipy.linalg
-from threadpoolctl import ThreadpoolController
+
+from interarea.models.threads import one_blas_thread
 
 from .problem import BlockLMI, MatrixVariable, Problem, Solution
 
 ENGINES = ("structured", "clarabel")
-
-
-@lru_cache(maxsize=1)
-def _controller() -> ThreadpoolController:
-    """The thread pools loaded by now: numpy's and scipy's."""
-    np.linalg.eigvalsh(np.eye(2))
-    scipy.linalg.eigh(np.eye(2))
-    return ThreadpoolController()
-
-
-@contextmanager
-def one_blas_thread() -> Iterator[None]:
-    """Run a block of small-matrix code with every BLAS on one thread."""
-    with _controller().limit(limits=1, user_api="blas"):
-        yield
 
 
 _RECORD: ContextVar[list[tuple[Problem, Solution]] | None] = ContextVar("record", default=None)

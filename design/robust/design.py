@@ -18,10 +18,11 @@ import control
 import numpy as np
 from scipy.optimize import minimize
 
+from interarea.models.threads import one_blas_thread
+
 from ..errors import InfeasibleDesign
 from ..linear.matrices import ZERO_EIGENVALUE
 from ..linear.norms import gramian_factor
-from ..lmi.solve import one_blas_thread
 from ..reduction.gramians import projections
 from .design_models import build_objective, tightened
 from .smoothed_objective import Array, Gains, Objective

@@ -13,8 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.linalg
 
+from interarea.models.threads import one_blas_thread
+
 from ..lmi.problem import Matrix
-from ..lmi.solve import one_blas_thread
 from .check import Synthesis, checked, first_certified, from_slack
 from .generalized_plant import GeneralizedPlant
 from .lmi_form import PoleRegion

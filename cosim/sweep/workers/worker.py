@@ -68,14 +68,14 @@ def work(
     threading.Thread(target=_end_with, args=(parent_pipe,), daemon=True).start()
     scratch.mkdir(parents=True, exist_ok=True)
     tempfile.tempdir = str(scratch)
-    from threadpoolctl import threadpool_limits
+    from interarea.models.threads import one_thread
 
     from ..plan import plan_of_document
     from ..runner import Runner
     from .malloc_tuning import keep_freed_memory
 
     keep_freed_memory()
-    with threadpool_limits(1), Runner(plan_of_document(document), cache, scratch) as runner:
+    with one_thread(), Runner(plan_of_document(document), cache, scratch) as runner:
         gc.collect()
         gc.freeze()  # what is loaded stays: the collector need not look through it again and again
         try:

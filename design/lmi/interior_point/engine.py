@@ -16,10 +16,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import lru_cache
 
 import numpy as np
-from threadpoolctl import ThreadpoolController
+
+from interarea.models.threads import one_blas_thread
 
 from ..problem import BlockLMI, Problem, Solution
 from .iteration import Iteration, Progress
@@ -28,12 +28,6 @@ from .operators import Vector
 __all__ = ["Progress", "solve_structured"]
 
 _Callback = Callable[[Progress], bool | None] | None
-
-
-@lru_cache(maxsize=1)
-def _pools() -> ThreadpoolController:
-    """Find the BLAS pools of numpy and scipy once (both are loaded by now)."""
-    return ThreadpoolController()
 
 
 def solve_structured(
@@ -73,7 +67,7 @@ def solve_structured(
             "must be positive"
         )
     requested = max(tolerance, stop_gap or 0.0)
-    with _pools().limit(limits=1, user_api="blas"), np.errstate(all="ignore"):
+    with one_blas_thread(), np.errstate(all="ignore"):
         return _solve(problem, requested, max_iterations, callback)
 
 
