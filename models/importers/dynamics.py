@@ -56,10 +56,11 @@ _WHY = {
     "REGCC1": "a converter with an inner current loop and a phase-locked loop",
 }
 
-#: assumed of records of these models
+#: assumed of records of these models, and of a field that is not used
 _ASSUMED = {
     "GDFORM": "GridPACK's GDFORM taken as REGFMA1: E late by 5 ms where it is not integrated",
     "MAXEX2": "MAXEX2 watches the field current, also where its first field asks for the field voltage",
+    "INPUTTYPE": "what another program hands a PSSSIM with INPUTTYPE = 1 is not in the file: taken as 0",
 }
 
 #: models that only trip or measure
@@ -282,7 +283,7 @@ class _Units:
 
     def take_the_rest(self, exponent: float) -> None:
         """Make the units without any record constant P and Q (exponent 0) or currents (1)."""
-        kind = "a constant current" if exponent else "constant P and Q"
+        taken = f"unit without DYR record taken as {'a constant current' if exponent else 'constant P and Q'}"
         for (bus, identity), name in self.machine_of.items():
             if name in self.where or name in self.constant:
                 continue
@@ -292,8 +293,7 @@ class _Units:
                     f"{other}: machine {name} has controls but no machine model in {self.path.name}"
                 )
             self.constant[name] = exponent
-            place = f"{self.path}: bus {bus}, {identity!r}"
-            self.report.assume(f"unit without DYR record taken as {kind}", place)
+            self.report.assume(taken, f"{self.path}: bus {bus}, {identity!r}")
 
 
 def _check_parts(name: str, place: str, records: Collection[str]) -> None:
@@ -356,7 +356,7 @@ def _device(
     if record.model not in records:
         raise CaseError(f"{record.where}: {_unknown(record, records)}")
     measured = [str(field).strip() for field in record.fields[:3]]
-    if record.model == "REPCA1" and any(text not in ("0", "0.0") for text in measured):
+    if record.model == "REPCA1" and {*measured} - {"0", "0.0"}:
         raise CaseError(
             f"{record.where}: REPCA1 at bus {record.bus} measures another bus or a branch, "
             f"{' '.join(measured)}, allowed: 0 0 0, its own bus; "
@@ -365,11 +365,11 @@ def _device(
     if record.model == "WSIEG1" and "WSIEG1" not in own_records(own.values()):
         record = _without_curve(record)
     result = device_for_dyr(record, own.values())
-    for name in result.unused:
-        report.assume(f"{name} of {record.model} is not 0, and is not used", record.where)
-    if record.model in _ASSUMED and result.model.device.key in library():
-        report.assume(_ASSUMED[record.model], record.where)
     device = result.model.device
+    for name in result.unused:
+        report.assume(_ASSUMED.get(name, f"{name} of {record.model} is not 0, and is not used"), record.where)
+    if record.model in _ASSUMED and device.key in library():
+        report.assume(_ASSUMED[record.model], record.where)
     return device.kind, {"kind": device.key} | dict(result.parameters)
 
 
@@ -381,7 +381,7 @@ def _without_curve(record: DyrRecord) -> DyrRecord:
 
 
 def _unknown(record: DyrRecord, records: Collection[str]) -> str:
-    model, advice = record.model, ""
+    model = record.model
     if record.user and model not in _WHY:
         advice = f"; draw it as a device named {model} and give its file with --device"
     elif model in CONVERTERS:

@@ -143,13 +143,26 @@ def test_the_stabilizer_of_gridpack_is_its_block_diagram() -> None:
         assert point.instance.run(point.states, seen | {"slip": slip})[0]["vs"] == math.copysign(1.0, slip)
 
 
+def test_the_signal_of_another_program_is_taken_as_none(tmp_path: Path) -> None:
+    """INPUTTYPE = 1 adds 7/60 of what another program hands GridPACK while it runs: 0 where none does."""
+    cases, said = [], []
+    for k in (0, 1):
+        record = f"102 'PSSSIM' 1 {k} 34 30 5 6 7 8 100 20 0.06 0.04 0.08 0.04 1 -1 /"
+        cases.append(case_with(SEXS + record, tmp_path))
+        report = import_psse(tmp_path / "grid.raw", tmp_path / "grid.dyr").report
+        said.append([line for line in report.assumed if "another program hands" in line])
+        with pytest.raises(CaseError, match="--strict"):
+            import_psse(tmp_path / "grid.raw", tmp_path / "grid.dyr", strict=True)
+    assert cases[0] == cases[1]
+    assert not said[0] and len(said[1]) == 1
+
+
 REFUSED = {
     f"102 'WSIEG1' 1 7 {'0 ' * 4}0.1 0.3 -0.5 1 0 0.25 1{' 0' * 10} 0.01{' 0' * 13} /": r"\(JBUS\) = 7",
     f"102 'WSIEG1' 1 {'0 ' * 5}0.1 0.3 -0.5 1 0 0.25 1{' 0' * 10} 0.01 0.02{' 0' * 12} /": (
         r"ERR = 0\.02, DB1 = 0\.01, allowed: ERR <= DB1; outside its deadband"
     ),
     "102 'IEEEST' 1 1 7 0 0 0 0 0 0 0 0 0 0 5 10 3 0.1 -0.1 0 0 /": r"IEEEST field 2 \(BUS\) = 7, allowed: 0",
-    "102 'PSSSIM' 1 1 34 30 5 6 7 8 100 20 0.06 0.04 0.08 0.04 1 -1 /": r"\(INPUTTYPE\) = 1, .*--leave-out",
     "102 'MAXEX1' 1 0 /": "'MAXEX1' .* over-excitation limiter; .*--leave-out MAXEX1 goes on without it",
 }
 
