@@ -138,7 +138,7 @@ def dyr_fields(model: Model, values: Mapping[str, float]) -> tuple[str, tuple[fl
 def _number(text: float | str) -> float | None:
     if isinstance(text, str):
         try:
-            text = float(text.strip().replace("D", "E").replace("d", "e"))
+            text = float(text.strip().replace("D", "E").replace("d", "e").replace("_", "?"))  # no 1_0 for 10
         except ValueError:
             return None
     return float(text) if abs(text) < 1e30 else None

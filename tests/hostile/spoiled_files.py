@@ -133,6 +133,16 @@ def _letter_in(number: str, rng: random.Random) -> str:
     return number[:k] + rng.choice("OlSx") + number[k + 1 :]
 
 
+def _inside(number: str, sign: str, rng: random.Random) -> str:
+    """Put a sign for a point, or between two digits."""
+    places = [k for k in range(1, len(number) - 1) if number[k] == "."]
+    if places:
+        return number[: places[0]] + sign + number[places[0] + 1 :]
+    digits = [k for k in range(1, len(number)) if number[k - 1 : k + 1].isdigit()]
+    k = rng.choice(digits or [len(number)])
+    return number[:k] + sign + number[k:]
+
+
 def _digit_more(number: str, rng: random.Random) -> str:
     k = rng.choice([i for i, c in enumerate(number) if c.isdigit()])
     return number[: k + 1] + rng.choice("123456789") + number[k + 1 :]
@@ -158,6 +168,10 @@ KINDS: dict[str, tuple[Callable[[str, random.Random], str | None], bool]] = {
     "digit less": (_number(_digit_less), True),
     "sign": (_number(lambda n, _: n[1:] if n.startswith("-") else "-" + n), True),
     "not finite": (_number(lambda n, rng: rng.choice(["NaN", "inf", "1e999", "-1e400"])), False),
+    "underscore in a number": (_number(lambda n, rng: _inside(n, "_", rng)), False),
+    "decimal comma": (_number(lambda n, _: n.replace(".", ",")), False),
+    "minus of a text": (_number(lambda n, _: "\u2212" + n.lstrip("-")), False),
+    "blank in a number": (_number(lambda n, rng: _inside(n, " ", rng)), False),
     "stray character": (_number(lambda n, rng: n + rng.choice("@#?\\")), False),
 }
 WHOLE_LINES = ("line lost", "line twice", "cut there", "joined with the next", "lines exchanged")
@@ -190,4 +204,7 @@ def spoiled_files(seed: int = 46, each: int = 5) -> Iterator[Spoiled]:
                     "joined with the next": [*lines[:k], lines[k] + lines[k + 1], *lines[k + 2 :]],
                     "lines exchanged": [*lines[:k], lines[k + 1], lines[k], *lines[k + 2 :]],
                 }[kind]
-                yield Spoiled(f"{file} {kind} {j}", file, k + 1, lines[k], "", "\n".join(new) + "\n", False)
+                if new != lines:  # two lines may be alike
+                    yield Spoiled(
+                        f"{file} {kind} {j}", file, k + 1, lines[k], "", "\n".join(new) + "\n", False
+                    )

@@ -104,6 +104,14 @@ ALLOWED = ("refused", "reported", "harmless", "another number")
             r"raw:20: transformer record: CKT \(field 4\) = .*is a quote lost",
         ),
         ("raw", "GENERATOR DATA\n1,'1'", "GENERATOR DATA 1,'1'", r"raw:13: a record stands behind the /"),
+        ("dyr", "1 'SEXS' 1 0.1 10.0", "1 'SEXS' 1 0.1 1_0", r"dyr:4: SEXS field 2 \(TB\) = '1_0', allowed"),
+        ("m", "mpc.baseMVA = 100;", "mpc.baseMVA = '100';", r"m: mpc\.baseMVA = '100', allowed: a number"),
+        (
+            "m",
+            "mpc.bus = [",
+            "mpc.bus = {",
+            r"m:5: mpc\.bus has another form, allowed: .* tables? of numbers",
+        ),
         ("raw", "1.0\n3,4,'2'", "1.0,3,4,'2'", r"raw:17: branch record: 36 fields, allowed: 24"),
     ],
 )
@@ -111,6 +119,12 @@ def test_what_was_silent(tmp_path: Path, file: str, was: str, now: str, says: st
     assert GOOD[file].count(was) >= 1
     with pytest.raises(CaseError, match=says):
         read(tmp_path, **{file: GOOD[file].replace(was, now, 1)})
+
+
+def test_what_stands_behind_the_end_is_told(tmp_path: Path) -> None:
+    load = "3,'9',1,1,1,99.0,30.0,0.0,0.0,0.0,0.0,1,1,0\n"
+    report = read(tmp_path, raw=GOOD["raw"] + load).report
+    assert report.first["1 lines after the Q that ends the data left aside"].endswith("grid.raw:34")
 
 
 def test_a_unit_whose_exciter_record_is_lost_is_told(tmp_path: Path) -> None:

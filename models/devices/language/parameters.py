@@ -43,6 +43,11 @@ def _parameter(source: Source, name: str, row: dict[str, Any], line: int) -> Par
     low = numbers.get("min", numbers.get("above", -NO_LIMIT))
     high, default = numbers.get("max", NO_LIMIT), numbers.get("default")
     parameter = Parameter(name, unit, text, low, high, "above" in row, default)
+    if not (low < high if parameter.open else low <= high):
+        begins = "above" if parameter.open else "min"
+        raise source.fail(
+            f"{name}: {begins} = {low:g}, max = {high:g}, allowed: a range that holds a number", line
+        )
     if default is not None and abs(default) < NO_LIMIT and not parameter.holds(default):
         raise source.fail(f"{name}.default = {default:g} is outside its own range", line)
     return parameter

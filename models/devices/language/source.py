@@ -29,7 +29,7 @@ class Source:
         for k, row in enumerate(self.rows, start=1):
             if row.startswith("["):
                 in_section = row.strip() == f"[{section}]"
-            if in_section and row.split("=")[0].strip().strip("\"'") == key:
+            if (in_section and _key_of(row.strip()) == key) or row.strip() == f"[{key}]":
                 return k
         return 0
 
@@ -68,3 +68,8 @@ class Source:
         if not abs(value) <= NO_LIMIT:
             raise self.fail(f"{what} = {str(value)[:40]}, allowed: at most 1e30 or inf", line)
         return float(value)
+
+
+def _key_of(row: str) -> str:
+    """The key of a line of TOML; one in quotes may hold an =."""
+    return row[1:].partition(row[0])[0] if row[:1] in ("'", '"') else row.partition("=")[0].strip()

@@ -189,13 +189,18 @@ def _cut(raw: RawFile, body: list[Line]) -> None:
                 f"{raw.path}:{body[-1][0]}: the file ends inside the {section} data, allowed: a line with 0 "
                 "after its last record (cut off?)"
             )
-        k = {_End.SECTION: k + 1, _End.QUIT: len(body)}.get(end, k)
-    rest = [line for line in body[k:] if line[1].strip() and line[1].strip()[:1] not in "Qq"]
+        if end is _End.QUIT:
+            _left_behind(raw, body[k + 1 :], "the Q that ends the data")
+            return
+        k += end is _End.SECTION
+    _left_behind(raw, body[k:], f"the last section of version {raw.version}")
+
+
+def _left_behind(raw: RawFile, lines: list[Line], after: str) -> None:
+    """Note what stands where no section is, but for blank lines and a Q."""
+    rest = [line for line in lines if line[1].strip() and line[1].strip()[:1] not in "Qq"]
     if rest:
-        raw.notes.append(
-            f"{raw.path}:{rest[0][0]}: {len(rest)} lines after the last section of version {raw.version} "
-            "left aside"
-        )
+        raw.notes.append(f"{raw.path}:{rest[0][0]}: {len(rest)} lines after {after} left aside")
 
 
 class _End(Enum):

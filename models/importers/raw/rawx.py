@@ -6,9 +6,11 @@ both; the places it names are the lines of the rows.
 
 from __future__ import annotations
 
+import functools
 import json
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +37,6 @@ _SECTIONS: dict[str, tuple[str, dict[str, str]]] = {
 }
 _MOTOR = {"H": "hconst", "A": "aconst", "B": "bconst", "D": "dconst", "E": "econst"}
 _SECTIONS["induction machine"][1].update(_MOTOR)
-_READ = frozenset(table for table, _ in _SECTIONS.values())
 _ENDS = {"I": "ibus", "J": "jbus", "K": "kbus"}
 #: tables that play no part in a power flow: buses are the joined nodes of substations already
 _ASIDE = (
@@ -43,6 +44,10 @@ _ASIDE = (
     *("sub", "subnode", "subswd", "subterm"),
 )
 _SETTINGS = ("caseid", "general", "gauss", "newton", "adjust", "tysl", "solver")
+#: fields of RAWX in later releases than the layout here, which play no part in a power flow
+_FURTHER = {"bp", "name", "mname", "droopname", "rsetnam", "fcreg", "nreg", "tcode", "bcode"}
+_CORRECTIONS, _POINT = "impcor", ("itable", "tap", "refact", "imfact")
+_READ = {table for table, _ in _SECTIONS.values()} | {_CORRECTIONS}
 _Row = tuple[int, Mapping[str, Any]]  #: line, values by lower-case name
 
 
@@ -63,10 +68,15 @@ def read_rawx(path: Path) -> RawFile:
         elif rows and table not in _READ and table not in _SETTINGS:
             where = f"{path}:{rows[0][0]}"
             raise CaseError(f"{where}: RAWX table {table!r} is not read, allowed: empty; write a .raw")
-    for section, (table, other) in _SECTIONS.items():
-        groups = [_group(section, row, _ENDS | other) for row in tables.get(table, [])]
+    for section, (table, _) in _SECTIONS.items():
+        groups = [_group(section, row) for row in tables.get(table, [])]
         if groups:
             raw.groups[section] = groups
+    if tables.get(_CORRECTIONS):
+        raw.groups["impedance correction"] = _corrections(tables[_CORRECTIONS])
+    for table in tables:
+        if table in _READ and tables[table]:
+            raw.notes += _left_aside(path, text, table, tables[table][0][1])
     return raw
 
 
@@ -106,28 +116,58 @@ def _number(path: Path, row: Mapping[str, Any], name: str, default: float) -> fl
     return float(value)
 
 
-def _group(section: str, row: _Row, other: Mapping[str, str]) -> Group:
+def _group(section: str, row: _Row) -> Group:
     """The lines of RAW 35 that a row is."""
     number, values = row
+    parts = _parts(section)
+    if section == "transformer" and not values.get("kbus"):
+        parts = parts[:-1]  # no third winding
+    return tuple((number, _line(names, values, other)) for names, other in parts)
+
+
+@functools.cache
+def _parts(section: str) -> tuple[tuple[Mapping[str, int], Mapping[str, str]], ...]:
+    """For each line of a record of RAW 35 its fields, and what RAWX calls those that it names otherwise."""
+    parts = [(fields(section, VERSION), _ENDS | _SECTIONS[section][1])]
     if section == "transformer":
-        texts = [_line(fields(section, VERSION), values, other)]
-        pairs = {name: name.lower().replace("-", "_") for name in fields("transformer impedance", VERSION)}
-        texts.append(_line(fields("transformer impedance", VERSION), values, pairs))
-        for k in "123" if values.get("kbus") else "12":
-            names = fields("transformer winding", VERSION)
+        names = fields("transformer impedance", VERSION)
+        parts.append((names, {name: name.lower().replace("-", "_") for name in names}))
+        names = fields("transformer winding", VERSION)
+        for k in "123":
             own = {name: f"wdg{k}{name.lower()}" for name in names if name.startswith("RATE")}
-            own = {name: f"{name.lower()}{k}" for name in names} | own | {"NOD": f"node{k}"}
-            texts.append(_line(names, values, own))
+            parts.append((names, {name: f"{name.lower()}{k}" for name in names} | own | {"NOD": f"node{k}"}))
     elif section in ("two-terminal dc", "VSC dc"):
-        texts = [_line(fields(section, VERSION), values, other)]
         part, ends = ("dc converter", "ri") if section == "two-terminal dc" else ("VSC converter", "12")
+        names = fields(part, VERSION)
         for end in ends:
-            own = {name: f"{name.lower()}{end}" for name in fields(part, VERSION)}
-            own |= {"REMOT": f"vsreg{end}"} if section == "VSC dc" else {}
-            texts.append(_line(fields(part, VERSION), values, own))
-    else:
-        texts = [_line(fields(section, VERSION), values, other)]
-    return tuple((number, text) for text in texts)
+            own = {name: f"{name.lower()}{end}" for name in names}
+            parts.append((names, own | ({"REMOT": f"vsreg{end}"} if section == "VSC dc" else {})))
+    return tuple(parts)
+
+
+def _corrections(rows: list[_Row]) -> list[Group]:
+    """Tables of impedance correction, a row a point, each as the line of RAW 35."""
+    points: dict[str, list[str]] = {}
+    lines: dict[str, int] = {}
+    for line, values in rows:
+        number = _word(values.get("itable"))
+        lines.setdefault(number, line)
+        points.setdefault(number, []).extend(_word(values.get(name)) for name in _POINT[1:])
+    return [((lines[number], ",".join([number, *words])),) for number, words in points.items()]
+
+
+def _left_aside(path: Path, text: str, table: str, names: Iterable[str]) -> Iterator[str]:
+    """Yield a note for each field of a table that no record of RAW 35 has."""
+    section = next((section for section, (name, _) in _SECTIONS.items() if name == table), None)
+    parts = _parts(section) if section else ()
+    known = {other.get(name, name.lower()) for fields_, other in parts for name in fields_} or {*_POINT}
+    for name in (name for name in names if name not in known | _FURTHER):
+        begin = _begin(text, table)
+        field = re.compile(f'"{re.escape(name)}"', re.IGNORECASE).search(text, begin)
+        line = text.count("\n", 0, field.start() if field else begin) + 1
+        near = get_close_matches(name, sorted(known - {*names}), 3, 0.5)
+        hint = f"; did you mean {' or '.join(near)}?" if near else ""
+        yield f"{path}:{line}: field {name!r} of {table}, which RAW {VERSION} does not have, left aside{hint}"
 
 
 def _line(names: Mapping[str, int], values: Mapping[str, Any], other: Mapping[str, str]) -> str:
@@ -143,24 +183,55 @@ def _word(value: Any) -> str:
 def _tables(path: Path, text: str) -> dict[str, list[_Row]]:
     """The rows of every table, each with its line."""
     try:
-        document = json.loads(text)
-        network = document["network"]
-        named = {
-            table: [str(name).lower() for name in content["fields"]] for table, content in network.items()
-        }
+        network = json.loads(text, object_pairs_hook=_once)["network"]
+        named = {table: _names(path, table, content["fields"]) for table, content in network.items()}
+        missing = next((table for table in named if not isinstance(network[table].get("data"), list)), None)
     except json.JSONDecodeError as error:
         raise CaseError(f"{path}:{error.lineno}: no JSON: {error.msg}; allowed: a RAWX file") from None
+    except _GivenTwiceError as error:
+        raise CaseError(f"{path}: {str(error)!r} is given twice, allowed: once") from None
     except (TypeError, KeyError, AttributeError, RecursionError):
         allowed = '{"network": {TABLE: {"fields": [..], "data": [..]}}}'
         raise CaseError(f"{path}: no tables of a grid; allowed: {allowed}") from None
+    except ValueError as error:  # an integer of thousands of digits
+        raise CaseError(f"{path}: no number: {str(error).partition(';')[0]}") from None
+    if missing is not None:
+        raise CaseError(f"{path}: RAWX table {missing!r} has no data, allowed: a list")
     return {table.lower(): list(_rows(path, text, table, names)) for table, names in named.items()}
+
+
+class _GivenTwiceError(Exception):
+    """A name that stands twice in one object."""
+
+
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    result: dict[str, Any] = {}
+    for name, value in pairs:
+        if name in result:
+            raise _GivenTwiceError(name)
+        result[name] = value
+    return result
+
+
+def _names(path: Path, table: str, names: list[Any]) -> list[str]:
+    """The fields of a table in lower case, each a text and once."""
+    lower = [name.lower() if isinstance(name, str) else name for name in names]
+    wrong = next((n for k, n in enumerate(lower) if not isinstance(n, str) or n in lower[:k]), None)
+    if wrong is not None:
+        raise CaseError(f"{path}: fields of {table}: {wrong!r}, allowed: texts, each once")
+    return lower
+
+
+def _begin(text: str, table: str) -> int:
+    """Where the table begins in the text."""
+    match = re.search(rf'"{re.escape(table)}"\s*:\s*{{', text, re.IGNORECASE)
+    return match.end() if match else 0
 
 
 def _rows(path: Path, text: str, table: str, names: list[str]) -> Iterator[_Row]:
     """Yield the rows of a table: lists in a list, or one list of values."""
-    begin = re.compile(rf'"{re.escape(table)}"\s*:\s*{{').search(text)
-    data = re.compile(r'"data"\s*:\s*\[').search(text, begin.end() if begin else 0)
-    if begin is None or data is None:
+    data = re.compile(r'"data"\s*:\s*\[').search(text, _begin(text, table))
+    if data is None:  # written with escapes
         raise CaseError(f"{path}: RAWX table {table!r} has no data, allowed: a list")
     decoder, blank, at = json.JSONDecoder(), re.compile(r"[\s,]*"), data.end()
     flat: list[Any] = []
@@ -180,12 +251,12 @@ def _rows(path: Path, text: str, table: str, names: list[str]) -> Iterator[_Row]
 
 
 def _values(where: str, table: str, names: list[str], row: list[Any]) -> Mapping[str, Any]:
-    if table not in _READ:
+    if table.lower() not in _READ:
         return dict(zip(names, row, strict=False))
-    if len(row) > len(names):
+    if len(row) != len(names):
         raise CaseError(
             f"{where}: {table} row of {len(row)} values, allowed: {len(names)}, {' '.join(names)}"
         )
     if any(isinstance(value, list | dict) for value in row):
         raise CaseError(f"{where}: {table} row holds a list, allowed: numbers and texts")
-    return dict(zip(names, row, strict=False))
+    return dict(zip(names, row, strict=True))

@@ -69,6 +69,12 @@ WRONG = [
     ("title", "titel", r"my_avr.toml:3: titel: no such key here, did you mean title"),
     ("efd = lag", "eft = lag", r"my_avr.toml: no line gives efd, the output of a exciter"),
     ("default = 0.02", "default = -1", r"my_avr.toml:12: TR.default = -1 is outside its own range"),
+    (
+        "min = 0, default = 0.02",
+        "min = 2, max = 1",
+        r"my_avr.toml:12: TR: min = 2, max = 1, allowed: a range",
+    ),
+    ('"EMIN <= EMAX"', '"EMIN <= EMEX"', r"my_avr.toml:20: EMEX is not known in \[check\]"),
     ("transducer", "\u00b5" * 300000, r"longer than 65536 bytes"),
 ]
 

@@ -123,3 +123,65 @@ def test_what_is_wrong_is_named_with_its_line(what: str, tmp_path: Path) -> None
         line = text[: text.index('[2, "1"')].count("\n") + 1
         with pytest.raises(CaseError, match=f"rawx:{line}: load"):
             import_grid(tmp_path / "grid.rawx")
+
+
+def test_correction_tables_are_those_of_the_raw_file(tmp_path: Path) -> None:
+    points = [[1, 0.9, 0.8, 0.0], [1, 1.0, 1.0, 0.05], [1, 1.1, 1.3, 0.1]]
+    fields, rows = TABLES["transformer"]
+    tables = TABLES | {"transformer": ([*fields, "tab1"], [[*rows[0], 1]])}
+    theirs = RAW.replace("235.0,230.0,2.5\n", f"235.0,230.0,2.5{',' * 21}1\n").replace(
+        "0 /END OF TRANSFORMER DATA\n",
+        "0 /END OF TRANSFORMER DATA, BEGIN AREA DATA\n"
+        + "0 /\n" * 3
+        + "1,0.9,0.8,0,1.0,1.0,0.05,1.1,1.3,0.1,0,0,0\n0 /\n",
+    )
+    names = ["itable", "tap", "refact", "imfact"]
+    ours = import_grid(written(tmp_path, rawx(tables, impcor=(names, points))))
+    other = import_grid(written(tmp_path, theirs, "grid.raw"))
+    assert ours.case.model_dump(exclude={"source"}) == other.case.model_dump(exclude={"source"})
+    assert ours.case.branches != import_grid(written(tmp_path, rawx())).case.branches
+
+
+def load(fields: list, row: list) -> str:
+    return rawx(TABLES | {"load": (fields, [row])})
+
+
+FIELDS, ROW = TABLES["load"][0], TABLES["load"][1][0]
+LOST = {
+    "a row cut": (load(FIELDS, ROW[:4]), r"rawx:\d+: load row of 4 values, allowed: 7"),
+    "a field twice": (
+        load([*FIELDS[:4], "pl", *FIELDS[5:]], ROW),
+        "fields of load: 'pl', allowed: .*each once",
+    ),
+    "a field no text": (load([*FIELDS[:4], 7, *FIELDS[5:]], ROW), "fields of load: 7, allowed: texts"),
+    "rows of another table": (
+        rawx().replace('"load": {\n', '"load": {"fields": ["ibus"]},\n"loads": {\n'),
+        "RAWX table 'load' has no data",
+    ),
+    "a table twice": (
+        rawx().replace('"load": {\n', '"load": {"fields": [], "data": []},\n"load": {\n'),
+        "'load' is given twice, allowed: once",
+    ),
+    "thousands of digits": (rawx().replace("80.0", "8" * 5000), "rawx: no number: Exceeds the limit"),
+}
+
+
+@pytest.mark.parametrize("what", LOST)
+def test_nothing_is_lost_or_read_as_another_table(what: str, tmp_path: Path) -> None:
+    text, said = LOST[what]
+    with pytest.raises(CaseError, match=said):
+        import_grid(written(tmp_path, text))
+
+
+def test_a_field_that_raw_does_not_have_is_told(tmp_path: Path) -> None:
+    text = load([*FIELDS[:3], "pi", *FIELDS[4:]], ROW)
+    line = text[: text.index('"pi"')].count("\n") + 1
+    remark = "field 'pi' of load, which RAW 35 does not have, left aside; did you mean "
+    first = import_grid(written(tmp_path, text)).report.first
+    assert [at for what, at in first.items() if what.startswith(remark) and " pl" in what] == [
+        f"{tmp_path}/grid.rawx:{line}"
+    ]
+    with pytest.raises(CaseError, match=r"field 'pi' .*--strict"):
+        import_grid(tmp_path / "grid.rawx", strict=True)
+    later = import_grid(written(tmp_path, load([*FIELDS, "droopname"], [*ROW, "A"]))).report.first
+    assert not any("left aside" in what for what in later)
