@@ -20,9 +20,10 @@ def one_thread() -> AbstractContextManager[object]:
     from threadpoolctl import threadpool_limits
 
     try:
-        return threadpool_limits(1)
+        limits: AbstractContextManager[object] = threadpool_limits(1)
     except UnicodeDecodeError:
         return nullcontext()
+    return limits
 
 
 @contextmanager

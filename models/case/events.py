@@ -395,6 +395,9 @@ def event_of(table: Mapping[str, Any], *, where: str) -> Any:
     """
     kind = table.get("kind") if isinstance(table, Mapping) else None
     if kind is None:
+        for key in map(str, table if isinstance(table, Mapping) else ()):
+            if (hint := nearest(key, ["kind"])).startswith("did"):
+                raise CaseError(f"{where}: {key} = {table[key]!r}: no such key; {hint}")
         raise CaseError(f"{where}: kind is missing; {nearest(kind, EVENT_KINDS)}")
     if kind not in EVENT_KINDS:
         raise CaseError(f"{where}: kind = {kind!r}; {nearest(kind, EVENT_KINDS)}")
