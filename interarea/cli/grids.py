@@ -190,8 +190,10 @@ def grid_of(name: str, dyr: Path | None = None) -> tuple[Case, list[str]] | None
 
     Raises
     ------
-    CaseError : a grid that cannot be read, or `dyr` for one that takes none.
+    CaseError : a grid that cannot be read or whose controls cannot rest, or `dyr` for one that takes none.
     """
+    from interarea.models.errors import CaseError
+
     if not names_grid(name, dyr):
         return None
     if _is_case(name):
@@ -201,6 +203,13 @@ def grid_of(name: str, dyr: Path | None = None) -> tuple[Case, list[str]] | None
     from interarea.models.importers.file import import_grid as read_grid
 
     imported = read_grid(name, dyr=dyr)
+    if imported.unrest:
+        given = name if dyr is None else f"{name} --dyr {dyr}"
+        raise CaseError(
+            f"{name}: {len(imported.unrest)} controls cannot rest (first: {imported.unrest[0]}); "
+            f"`interarea import {given} --release-limits --out grid.toml` widens their limits, "
+            "then give grid.toml in its place"
+        )
     return imported.case, imported.report.text().splitlines()
 
 

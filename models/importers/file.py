@@ -124,5 +124,6 @@ def _started(imported: Imported, *, release: bool) -> Imported:
     if release:
         case, changed = release_limits_of(case, flow)
         lines += [f"released: {change}" for change in changed]
-    lines.append(start_of(case, flow).text())
-    return replace(imported, case=case)
+    start = start_of(case, flow)
+    lines.append(start.text())
+    return replace(imported, case=case, unrest=tuple(str(item.error) for item in start.unrest))

@@ -16,3 +16,4 @@ class Imported:
     case: Case
     report: Report
     solution: Solution
+    unrest: tuple[str, ...] = ()  #: why controls cannot rest where their machines start, a line each

@@ -103,7 +103,7 @@ def test_a_gate_behind_a_loop_is_released():
     assert changed == {"ILR": pytest.approx((1.1 * 2.0 / 17.0 + 2.0) / 1.06, rel=1e-9)}
 
 
-def test_an_import_says_how_its_controls_start(tmp_path):
+def test_an_import_says_how_its_controls_start(tmp_path, interarea):
     """SEXS rests at its field voltage: with EMAX below it the import says so, and widens it on request."""
     records = Path(__file__).parents[1] / "devices" / "psse_records"
     text = (records / "ThreeBus_SEXS.dyr").read_text()
@@ -112,6 +112,13 @@ def test_an_import_says_how_its_controls_start(tmp_path):
     raw = records / "ThreeBusMulti.raw"
     said = import_grid(raw, dyr=dyr).report.text()
     assert "start: 1 controls cannot rest" in said and "above EMAX = 1.2" in said
+    for command in (
+        ("study", raw, "--out", tmp_path / "o"),
+        ("new", "study", raw, "--out", tmp_path / "n.toml"),
+    ):
+        code, _, err = interarea(*command, "--dyr", dyr)
+        assert code == 2 and err.count("\n") == 1 and "above EMAX = 1.2" in err
+        assert f"`interarea import {raw} --dyr {dyr} --release-limits --out grid.toml`" in err
     imported = import_grid(raw, dyr=dyr, release_limits=True)
     assert "exciter.EMAX: 1.2 -> " in imported.report.text()
     rest = operating_point(imported.case).controls.of("exciter")[0].rest
