@@ -73,3 +73,24 @@ def _opened(node: Node) -> Iterator[tuple[Node, Node, int]]:
     for i, part in enumerate(node.args):
         for tree, gate, k in _opened(part):
             yield replace(node, args=(*node.args[:i], tree, *node.args[i + 1 :])), gate, k
+
+
+def crossed(node: Node, model: Model, known: Mapping[str, float]) -> Hold | None:
+    """Return the level beyond which a ``pick(a > b, ...)`` in `node`, or one of <, is; None where none is.
+
+    A signal over a parameter, as a field current over the rated one, is compared without the quotient.
+    """
+    for pick in (part for part in _parts(node) if part.op == "pick" and part.args[0].op in ("<", ">")):
+        signal, limit = pick.args[0].args
+        if evaluate(pick.args[0], known):
+            signal = spelled_out(signal, model)
+            if signal.op == "/" and all(name in model.device.by_name for name in signal.args[1].names):
+                signal, limit = signal.args[0], Node("*", (limit, signal.args[1]))
+            return Hold(float(evaluate(signal, known)), limit, above=pick.args[0].op == ">")
+    return None
+
+
+def _parts(node: Node) -> Iterator[Node]:
+    yield node
+    for part in node.args:
+        yield from _parts(part)

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 from ..errors import BeyondLimit, DeviceError
-from .gates import holding, led_on, spelled_out
+from .gates import crossed, holding, led_on, spelled_out
 from .instance import Instance, Margin
 from .language.device import BASES
 from .language.element import Equation
@@ -379,14 +379,27 @@ def _check_still(
             )
     for name, value, rate in zip(instance.state_names, states, rates, strict=True):
         if not abs(rate) <= STILL * max(1.0, abs(value)) * _stiffness(instance, name):
-            what = ""
-            if name in walk.model.elements:
-                _check_gates(walk, name, who)
-                what = f"; change the parameters in {walk.model.elements[name].u} or the dispatch"
+            moves = f"it is {value:.6g} and moves by {float(rate):.3g} a second"
+            what = f"{who}: {name} does not stand still at rest: {moves}"
+            if name not in walk.model.elements:
+                raise DeviceError(what)
+            _check_gates(walk, name, who)
+            _check_crossed(walk, name, what)
             raise DeviceError(
-                f"{who}: {name} does not stand still at rest: it is {value:.6g} and moves by "
-                f"{float(rate):.3g} a second{what}"
+                f"{what}; change the parameters in {walk.model.elements[name].u} or the dispatch"
             )
+
+
+def _check_crossed(walk: _Walk, name: str, what: str) -> None:
+    """Refuse what sets a signal going that waits at rest: another one beyond the level where it does."""
+    u = walk.model.elements[name].u
+    beyond = crossed(u, walk.model, {**walk.instance.values, **walk.known})
+    if beyond is not None:
+        level = f"{beyond.limit} = {float(evaluate(beyond.limit, walk.instance.values)):.6g}"
+        raise BeyondLimit(
+            f"{what}, as {beyond.value:.6g} is {'above' if beyond.above else 'below'} {level}; {_CURE}",
+            signal=name, value=beyond.value, limit=str(beyond.limit), above=beyond.above,
+        )  # fmt: skip
 
 
 def _check_gates(walk: _Walk, name: str, who: str) -> None:

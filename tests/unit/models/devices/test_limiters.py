@@ -23,7 +23,7 @@ from interarea.models.errors import CaseError
 from interarea.models.exporters.dyr import dyr_of
 from interarea.models.grid.control_tables import StartError
 from interarea.models.grid.equilibrium import operating_point
-from interarea.models.grid.start import start_of
+from interarea.models.grid.start import release_limits, start_of
 from interarea.models.importers.psse import import_psse
 
 RATED, GAIN, LOW = 2.0, 0.02, 0.05
@@ -129,9 +129,20 @@ def test_its_record_goes_in_and_out(tmp_path: Path) -> None:
     assert "1 'MAXEX2' '1' 0.0 1.9 1.03 4.0 1.1 3.0 1.25 2.0 1.025 0.05 -0.1 /" in dyr_of(case).text
 
 
-def test_a_field_above_its_first_point_at_rest_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(StartError, match=r"machines\.G1\.limiter: c does not stand still at rest"):
-        operating_point(case_of(tmp_path, 1, 1.0, *RECORD[2:]))
+def test_a_field_above_its_first_point_at_rest_is_refused_or_its_rating_raised(tmp_path: Path) -> None:
+    """The rating for which the first point, 1.03 of it, lies a tenth above the field at rest."""
+    bare, case = case_of(tmp_path), case_of(tmp_path, 1, 1.0, *RECORD[2:])
+    (rest,) = [c.rest for c in operating_point(bare).controls.of("exciter") if c.prefix == "G1.exciter"]
+    field = rest.signals["efd"]
+    with pytest.raises(
+        StartError, match=rf"limiter: c does not .* {field:.5g}\d* is above EFD1\*EFDRATED = 1\.03"
+    ):
+        operating_point(case)
+    released, said = release_limits(case)
+    rating = next(m for m in released.machines if m.name == "G1").limiter.EFDRATED
+    assert rating == pytest.approx(1.1 * field / 1.03, rel=1e-9)
+    assert said == (f"G1.limiter.EFDRATED: 1 -> {rating:.6g}",)
+    assert start_of(released).text().startswith("start: every control rests within its limits")
 
 
 def test_points_out_of_order_are_refused(tmp_path: Path) -> None:
