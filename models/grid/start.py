@@ -35,6 +35,7 @@ class ControlMargin:
     control: str  #: as G1.exciter
     kind: str
     margin: Margin
+    at_bus: bool = False  #: of a device at a bus, which on its limit is another system on either side
 
     @property
     def limit(self) -> str:
@@ -76,11 +77,17 @@ class Start:
         head = f"start: {len(at)} limits at which a control rests (--release-limits widens them)"
         listed = (
             f"  {one.control}: {one.margin.signal} is {one.margin.value:.6g} at rest, at {one.limit} "
-            f"({one.margin.least:.1g} from it); linear models take the limit as "
-            f"{'active' if one.margin.least < 0.0 else 'inactive'}"
+            f"({one.margin.least:.1g} from it); {self._linear(one)}"
             for one in at
         )
         return [head, *listed]
+
+    @staticmethod
+    def _linear(one: ControlMargin) -> str:
+        """What a linear study makes of a control at its limit, as `require_off_limits` has it."""
+        if one.at_bus:
+            return "a linear study is refused, as it acts to one side only"
+        return f"linear models take the limit as {'active' if one.margin.least < 0.0 else 'inactive'}"
 
     def _waiting(self) -> list[str]:
         """What waits at a limit by its design, as the integrator of a limiter does at 0: one line."""
@@ -100,12 +107,14 @@ def start_of(case: Case, power_flow: PowerFlow | None = None) -> Start:
     unrest: list[Unrest] = []
     margins: list[ControlMargin] = []
     points, _, _, buses = machine_points(case, power_flow)
+    at_buses = {row.name for row in (*case.svcs, *case.tcscs, *case.hvdcs, *case.vscs)}
     for k, word, rest in rests_of(case, points, buses)[1]:
         if isinstance(rest, Unrest):
             unrest.append(rest)
             continue
         control, kind = row_name(case, k, word), rest.instance.model.device.key
-        margins += [ControlMargin(control, kind, m) for m in rest.margins if m.least < NO_LIMIT / 2]
+        at_bus = control in at_buses
+        margins += [ControlMargin(control, kind, m, at_bus) for m in rest.margins if m.least < NO_LIMIT / 2]
     return Start(tuple(unrest), tuple(sorted(margins, key=lambda m: m.margin.least)))
 
 
@@ -118,10 +127,9 @@ def require_off_limits(case: Case) -> None:
     """
     lines = {row.name for row in case.tcscs}
     links, vscs = {row.name for row in case.hvdcs}, {row.name for row in case.vscs}
-    at_buses = {svc.name for svc in case.svcs} | lines | links | vscs
-    for item in start_of(case).margins if at_buses else ():
+    for item in start_of(case).margins if case.svcs or lines or links or vscs else ():
         m = item.margin
-        if item.control in at_buses and item.at_limit:
+        if item.at_bus and item.at_limit:
             table, limit, elsewhere = "svcs", item.limit, "V_pu, Q_mvar"
             if item.control in lines:
                 table, limit, elsewhere = "tcscs", f"x_{limit[1:].lower()}_pu", "x0_pu"

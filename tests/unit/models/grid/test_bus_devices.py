@@ -18,7 +18,7 @@ from interarea.models.files import default_cache
 from interarea.models.grid.equilibrium import operating_point
 from interarea.models.grid.machine_tables import in_plant_order
 from interarea.models.grid.powerflow import solve_powerflow
-from interarea.models.grid.start import require_off_limits
+from interarea.models.grid.start import release_limits, require_off_limits, start_of
 
 CONTROLS = {
     "svc": {"kind": "svc", "K": 10.0, "TR": 0.05, "TC": 0.65, "TB": 0.2},
@@ -134,6 +134,11 @@ def test_a_linear_study_on_a_limit_is_refused_with_the_margin():
         CaseError, match=r"svc1: b \(susceptance\) rests at 0.309\d*, 0 from its limit BMAX; .*widen"
     ):
         linear_matrices(at_limit, default_cache())
+    assert (
+        "svc1: b is 0.309359 at rest, at BMAX (0 from it); a linear study is refused"
+        in start_of(at_limit).text()
+    )
+    require_off_limits(release_limits(at_limit)[0])
     require_off_limits(with_svc("svc", Q_mvar=60.0, control={"kind": "svc", "BMAX": q + 1e-3}))
     require_off_limits(load_case("two-area-thesis"))
 
