@@ -107,7 +107,7 @@ def start_of(case: Case, power_flow: PowerFlow | None = None) -> Start:
     unrest: list[Unrest] = []
     margins: list[ControlMargin] = []
     points, _, _, buses = machine_points(case, power_flow)
-    at_buses = {row.name for row in (*case.svcs, *case.tcscs, *case.hvdcs, *case.vscs)}
+    at_buses = {svc.name for svc in case.svcs} | {row.name for row in (*case.tcscs, *case.links)}
     for k, word, rest in rests_of(case, points, buses)[1]:
         if isinstance(rest, Unrest):
             unrest.append(rest)
