@@ -9,7 +9,8 @@ One controller :math:`K = (A_K, B_K, C_K, D_K)` is judged on a family of design 
     v = t(|b|) - z + \max(a, 0)^2, \qquad z = \frac{-a}{\max(|\lambda|, 0.2)} ,
 
 so that minimising *f* raises the least damping ratio *z* over all models; the
-band offsets *t* ask more of the inter-area band than of the rest. The square is
+band offsets *t* ask more of the inter-area band than of the rest; of what grows they
+count from 0 on, so that no band asks less than stability. The square is
 for real roots that run away: their damping ratio is -1, however fast they are. All
 eigenvalues count: there is no sorting and no mode tracking. Penalties keep the
 control effort below a cap over frequency and the controller's poles in a band.
@@ -293,6 +294,11 @@ class Objective:
                 extra, bend = more(np.abs(b[k]))
                 offset[k] += extra
                 slope[k] += bend
+        grows = a > ZERO_EIGENVALUE  # is never what was asked for, however little a band asks
+        offset, slope = (
+            np.where(grows, np.maximum(offset, 0.0), offset),
+            np.where(grows & (offset < 0.0), 0.0, slope),
+        )
         away = np.maximum(a, 0.0)
         da = np.where(fast, b**2 / m**3, 1.0 / SLOW_RADIUS) + 2.0 * away
         db = np.where(fast, -a * b / m**3, 0.0) + slope * np.sign(b)

@@ -9,7 +9,7 @@ import pytest
 from scipy.linalg import solve_continuous_lyapunov
 
 from interarea.design.robust.design import balanced_parameters
-from interarea.design.robust.smoothed_objective import DesignModel, EffortGrid, Objective
+from interarea.design.robust.smoothed_objective import BandOffsets, DesignModel, EffortGrid, Objective
 
 
 @pytest.fixture(scope="module")
@@ -121,10 +121,25 @@ def test_value_tends_to_the_worst_excess_as_rho_grows(objective: Objective) -> N
     for A in sharp.closed_loops(theta):
         eigenvalues = np.linalg.eigvals(A)
         offset, _ = sharp.offsets(np.abs(eigenvalues.imag))
+        offset = np.where(eigenvalues.real > 0.0, np.maximum(offset, 0.0), offset)
         damping = -eigenvalues.real / np.maximum(np.abs(eigenvalues), 0.2)
         excess.append((offset - damping + np.maximum(eigenvalues.real, 0.0) ** 2).max())
     # the poles of this controller lie inside their band, so no penalty is added
     assert sharp(theta)[0] == pytest.approx(max(excess), abs=1e-3)
+
+
+def test_what_grows_is_worse_than_all_that_decays_however_little_a_band_asks(objective: Objective) -> None:
+    """With an offset of -0.4 at 30 rad/s a pair that grows counted as better than one damped by 0.05."""
+    lenient = replace(objective, offsets=BandOffsets((0.0, 16.0, 30.0), (0.0, 0.0, -0.4)))
+    for growth in (1e-5, 1e-3, 0.1, 1.0):
+        (v, *_), slope = lenient.excess(np.array([growth + 30j]))
+        assert v == pytest.approx(growth / abs(growth + 30j) + growth**2)
+        assert v > lenient.excess(np.array([-0.02 + 30j]))[0][0] + 0.39
+        step = 1e-7
+        for turn in (1.0, 1j):
+            ends = [lenient.excess(np.array([growth + 30j + d * turn]))[0][0] for d in (step, -step)]
+            moved = (slope * turn).real[0]  # slope: dv/da - j dv/db
+            assert (ends[0] - ends[1]) / (2 * step) == pytest.approx(moved, abs=1e-6)
 
 
 def test_a_mask_fixes_the_structure(objective: Objective) -> None:
