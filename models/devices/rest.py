@@ -16,7 +16,7 @@ from .instance import Instance, Margin
 from .language.device import BASES
 from .language.element import Equation
 from .language.elements import Plain
-from .language.expression import Node, evaluate
+from .language.expression import Node, evaluate, folded
 from .language.structure import Model
 
 STILL = 1e-8  #: largest rate at rest, pu/s, relative to the size of the state
@@ -203,7 +203,14 @@ class _Walk:
 
 
 def _root_of(e: Equation, name: str, known: Mapping[str, float]) -> float | None:
-    return _root(lambda z: _residual(e, {**known, name: z}))
+    values = {other: value for other, value in known.items() if other != name}
+    short = replace(e, left=folded(e.left, values), right=folded(e.right, values))
+
+    def residual(z: float) -> float:
+        values[name] = z
+        return _residual(short, values)
+
+    return _root(residual)
 
 
 def _residual(e: Equation, known: Mapping[str, float]) -> float:

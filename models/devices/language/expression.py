@@ -328,6 +328,33 @@ def evaluate(node: Node, values: Mapping[str, Value]) -> Value:
         return math.inf
 
 
+def folded(node: Node, values: Mapping[str, float]) -> Node:
+    """Return `node` with a number for each part of it that holds names of `values` alone.
+
+    The rest has the same value to the bit for whatever the other names are.
+    """
+    if node.op == "number" or (node.op == "name" and node.name not in values):
+        return node
+    if node.op == "name":
+        return Node("number", value=values[node.name])
+    args = [folded(part, values) for part in node.args[: 1 if node.op == "pick" else None]]
+    if node.op == "pick":
+        if args[0].op == "number":  # the other branch may have no value
+            return folded(node.args[1 if args[0].value else 2], values)
+        return Node("pick", (args[0], *(_folded_branch(part, values) for part in node.args[1:])))
+    if all(part.op == "number" for part in args):
+        return Node("number", value=evaluate(Node(node.op, tuple(args)), {}))  # type: ignore[arg-type]
+    return Node(node.op, tuple(args))
+
+
+def _folded_branch(node: Node, values: Mapping[str, float]) -> Node:
+    """Fold a branch that may not be taken: as it is where a part of it has no value."""
+    try:
+        return folded(node, values)
+    except (ArithmeticError, ValueError):
+        return node
+
+
 def is_constant(node: Node, constants: frozenset[str]) -> bool:
     """Return whether `node` holds numbers and names of `constants` only."""
     return all(name in constants for name in node.names)
