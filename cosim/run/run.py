@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from math import inf
 from pathlib import Path
@@ -309,11 +309,23 @@ def _connect_signals(system: System, scenario: Scenario) -> None:
                 _known(signal, requested, f"{where} is no input of controller {title}")
             system.connections.append((y, f"{CONTROLLER}.{signal}"))
             system.connections += flags(signal, valid, taken, scenario.detector is not None)
-    for signal in _without(requested, _fed(scenario)):
-        with wrong:
-            _known(signal, signals, f"controller {title}: input {signal!r} is no output of the plant")
-        system.connections.append((f"{PLANT}.{signal}", f"{CONTROLLER}.{signal}"))
+    direct = list(_without(requested, _fed(scenario)))
+    with wrong:
+        _require_outputs(direct, signals, title)
+    system.connections += [(f"{PLANT}.{signal}", f"{CONTROLLER}.{signal}") for signal in direct]
     wrong.end(ScenarioError)
+
+
+def _require_outputs(inputs: Iterable[str], signals: Sequence[str], title: str) -> None:
+    """Raise ScenarioError unless the plant has what a controller sees: one line for all that it lacks."""
+    lost = [name for name in inputs if name not in signals]
+    if len(lost) > 1:
+        raise ScenarioError(
+            f"controller {title}: inputs {', '.join(lost[:4])}{', ...' if len(lost) > 4 else ''} are no "
+            "outputs of the plant, wanted: a controller of this case (`interarea list` says of which each is)"
+        )
+    for name in lost:
+        _known(name, signals, f"controller {title}: input {name!r} is no output of the plant")
 
 
 def _description_of_controller(system: System) -> Description | None:
