@@ -342,6 +342,8 @@ def _checked(
 
 
 def _check_margin(margin: Margin, model: Model, who: str, room: float) -> None:
+    if margin.low == margin.value == margin.high:  # on purpose: a control that is switched off
+        return
     room *= max(1.0, abs(margin.value))
     for sign, limit, text, word in (
         (1.0, margin.high, margin.high_text, "above"),

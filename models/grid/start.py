@@ -50,6 +50,11 @@ class ControlMargin:
         return self.limit.lstrip("-").replace(".", "", 1).isdigit()
 
     @property
+    def held(self) -> bool:
+        """Whether its limits coincide, so that it does not move."""
+        return self.margin.low == self.margin.value == self.margin.high
+
+    @property
     def at_limit(self) -> bool:
         """Whether it rests at that limit."""
         return self.margin.least <= AT_LIMIT * max(1.0, abs(self.margin.value))
@@ -66,12 +71,12 @@ class Start:
         """Return one line, and one for each control that cannot rest."""
         if not self.unrest:
             at = self._at_limits() or ["start: every control rests within its limits"]
-            return "\n".join([*at, *self._waiting()])
+            return "\n".join([*at, *self._waiting(), *self._held()])
         head = f"start: {len(self.unrest)} controls cannot rest (--release-limits widens limits)"
         return "\n".join([head, *(f"  {item.error}" for item in self.unrest)])
 
     def _at_limits(self) -> list[str]:
-        at = [item for item in self.margins if item.at_limit and not item.fixed]
+        at = [item for item in self.margins if item.at_limit and not item.fixed and not item.held]
         if not at:
             return []
         head = f"start: {len(at)} limits at which a control rests (--release-limits widens them)"
@@ -91,9 +96,13 @@ class Start:
 
     def _waiting(self) -> list[str]:
         """What waits at a limit by its design, as the integrator of a limiter does at 0: one line."""
-        at = [item for item in self.margins if item.at_limit and item.fixed]
+        at = [item for item in self.margins if item.at_limit and item.fixed and not item.held]
         signals = ", ".join(dict.fromkeys(f"{one.kind} {one.margin.signal}" for one in at))
         return [f"start: {len(at)} signals wait at a limit of their design ({signals})"] if at else []
+
+    def _held(self) -> list[str]:
+        held = ", ".join(f"{item.control} {item.margin.signal}" for item in self.margins if item.held)
+        return [f"start: limits that coincide, so that nothing moves there: {held}"] if held else []
 
 
 def start_of(case: Case, power_flow: PowerFlow | None = None) -> Start:

@@ -146,10 +146,20 @@ static inline num limiter_abs(Limiters *l, unsigned i, num a)
 {
     return num_pick(limiter_above(l, i, NUM(0.0), a), -a, a);
 }
+/* What passes between two limits. Where they coincide nothing moves: there the slope is that of what is held. */
+static inline num limiter_between(num a, num held, num low, num high)
+{
+#ifdef PLANT_TANGENT
+    return num_pick(num_above(high, low), a, held);
+#else
+    (void)held, (void)low, (void)high;
+    return a;
+#endif
+}
 static inline num limiter_clamp(Limiters *l, unsigned i, num a, num low, num high)
 {
     const flag below = limiter_above(l, i, low, a), above = limiter_above(l, i + 1, a, high);
-    return num_pick(below, low, num_pick(above, high, a));
+    return num_pick(below, low, num_pick(above, high, limiter_between(a, low, low, high)));
 }
 /* A band without width does nothing and decides nothing. */
 static inline num limiter_deadband(Limiters *l, unsigned i, num a, num width)
@@ -191,7 +201,7 @@ static inline num limiter_lag_rate(Limiters *l, unsigned i, num u, num x, num lo
     const flag below = limiter(l, i + 2, at_low & flag_not(at_high), element_min(low - u, low - x), u - low);
     const flag above = limiter(l, i + 3, at_high, element_min(u - high, x - high), high - u);
     limiter_forget(l, i, below | above);
-    return num_pick(above, high, num_pick(below, low, u)) - x;
+    return num_pick(above, high, num_pick(below, low, limiter_between(u, low, low, high))) - x;
 }
 
 /* dx/dt of a state with limits whose rate would be `rate`. On a limit its slope is that of beyond: it is held. */
@@ -202,7 +212,8 @@ static inline num limiter_held_rate(Limiters *l, unsigned i, num rate, num x, nu
     const flag below = limiter(l, i + 2, at_low, element_min(low - x, -rate), rate);
     const flag above = limiter(l, i + 3, at_high, element_min(x - high, rate), -rate);
     limiter_forget(l, i, below | above);
-    return num_pick(above | below, (num_pick(above, high, low) - x) * per_T, rate);
+    return num_pick(above | below, (num_pick(above, high, low) - x) * per_T,
+                    limiter_between(rate, NUM(0.0), low, high));
 }
 
 /* The integral of a PI element stands while the whole pushes outwards: decisions i, i + 1. */

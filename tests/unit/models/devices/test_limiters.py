@@ -148,3 +148,32 @@ def test_a_field_above_its_first_point_at_rest_is_refused_or_its_rating_raised(t
 def test_points_out_of_order_are_refused(tmp_path: Path) -> None:
     with pytest.raises(CaseError, match=r"EFD1 = 1\.03.* in rising order"):
         case_of(tmp_path, 1, 1.9, 1.03, 4, 1.02, *RECORD[5:])
+
+
+#: each does nothing: limits of the output, of the integrator, of the rate
+SWITCHED_OFF = {
+    "stabilizer": "1 'IEEEST' 1 1 0 0 0 0 0 0 0 0 0 0 0 5 10 3 0 0 0 0 /\n",
+    "limiter": f"1 'MAXEX2' 1 {' '.join(map(str, RECORD[:-1]))} 0 /\n",
+    "governor": "1 'IEEEG1' 1 0 0 20 0.1 0 0.2 0 0 1 0 0.3 0.3 0 5 0.3 0 0.4 0.4 0 0 0 0 /\n",
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", SWITCHED_OFF)
+def test_a_control_whose_limits_coincide_moves_no_mode(kind: str, tmp_path: Path) -> None:
+    """The exact derivatives are those of a signal that stands still, as differences see it."""
+    (tmp_path / "grid.raw").write_text(raw_text(load_case("kundur-thyristor-z")))
+    cases = []
+    for record in ("", SWITCHED_OFF[kind]):
+        (tmp_path / "grid.dyr").write_text(
+            MACHINES
+            + "\n".join(x for x in CONTROLS.splitlines() if not x.startswith("1 'TGOV1'"))
+            + "\n"
+            + record
+        )
+        cases.append(import_psse(tmp_path / "grid.raw", tmp_path / "grid.dyr").case)
+    plain, with_it = (np.linalg.eigvals(state_matrix(c, default_cache())) for c in cases)
+    assert all(np.abs(with_it - mode).min() < 1e-8 * max(1.0, abs(mode)) for mode in plain if mode.imag > 1.0)
+    assert release_limits(cases[1])[1] == ()
+    text = start_of(cases[1]).text()
+    assert kind == "governor" or f"coincide, so that nothing moves there: G1.{kind} " in text
