@@ -46,7 +46,7 @@ EXAMPLES = {
     "maps": "interarea maps out/sweep",
     "screen": "interarea screen two-area-thesis --bus 8 --clearing-times --out out/screen",
     "explore": "interarea explore two-area-thesis --out page.html",
-    "design": "interarea design robust_linear --no-worth --out robust.json",
+    "design": "interarea design mine.toml --no-worth --out mine.json",
     "certify": "interarea certify wide_area --page certificate.html",
     "build": "interarea build two-area-thesis --platforms linux64,win64 --out fmus",
     "ssp": "interarea ssp lost-signal --out loop.ssp",
@@ -65,6 +65,7 @@ EXAMPLES = {
 #: command -> what writes the file that its own example reads
 READS = {
     "sweep": EXAMPLES["new"],
+    "design": "interarea new design --out mine.toml",
     "maps": EXAMPLES["sweep"],
     "check": EXAMPLES["ssp"],
     "import": EXAMPLES["export"],

@@ -15,13 +15,7 @@ from interarea.command_help import EXAMPLES, READS, SUMMARIES
 
 #: examples of a second or two; all others run in the slow half
 QUICK = ("list", "cases", "show", "new", "device", "export", "cache")
-#: the example that is parsed alone: a search of many minutes
-PARSED = ("design",)
-RUNNING = [
-    pytest.param(name, marks=() if name in QUICK else pytest.mark.slow)
-    for name in COMMANDS
-    if name not in PARSED
-]
+RUNNING = [pytest.param(name, marks=() if name in QUICK else pytest.mark.slow) for name in COMMANDS]
 
 
 def _help(*words: str) -> str:
@@ -59,14 +53,6 @@ def test_a_commands_help_ends_with_its_example(name: str) -> None:
     before = f", after `{READS[name]}`" if name in READS else ""
     assert shlex.split(EXAMPLES[name])[:2] == ["interarea", name]
     assert _help(name).splitlines()[-2:] == [f"  Example{before}:", f"    {EXAMPLES[name]}"]
-
-
-@pytest.mark.parametrize("name", PARSED)
-def test_an_example_that_is_not_run_parses(name: str) -> None:
-    """Designs of less run in `tests/unit/cosim/designs`."""
-    words = shlex.split(EXAMPLES[name])[2:]
-    read = load(name).make_context(name, [*words]).params
-    assert words[0] in map(str, read.values())
 
 
 @pytest.fixture(scope="module")
