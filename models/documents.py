@@ -185,14 +185,15 @@ def _read_there(error: str, text: str) -> str:
 
 
 def _strict_json(text: str) -> Any:
-    return json.loads(text, parse_constant=_no_constant, object_pairs_hook=_unique)
+    return json.loads(text, parse_constant=_no_constant, object_pairs_hook=unique_keys)
 
 
 def _no_constant(word: str) -> float:
     raise DocumentError(f"not valid JSON: {word} is no number")
 
 
-def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+def unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Return an object of JSON; DocumentError where a key is given twice. For `object_pairs_hook`."""
     document = dict(pairs)
     if len(document) < len(pairs):
         keys = [key for key, _ in pairs]

@@ -14,6 +14,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
+from ...documents import DocumentError, unique_keys
 from ...errors import CaseError
 from .file import Group, RawFile
 from .layouts import fields
@@ -183,13 +184,13 @@ def _word(value: Any) -> str:
 def _tables(path: Path, text: str) -> dict[str, list[_Row]]:
     """The rows of every table, each with its line."""
     try:
-        network = json.loads(text, object_pairs_hook=_once)["network"]
+        network = json.loads(text, object_pairs_hook=unique_keys)["network"]
         named = {table: _names(path, table, content["fields"]) for table, content in network.items()}
         missing = next((table for table in named if not isinstance(network[table].get("data"), list)), None)
     except json.JSONDecodeError as error:
         raise CaseError(f"{path}:{error.lineno}: no JSON: {error.msg}; allowed: a RAWX file") from None
-    except _GivenTwiceError as error:
-        raise CaseError(f"{path}: {str(error)!r} is given twice, allowed: once") from None
+    except DocumentError as error:
+        raise CaseError(f"{path}: {error}, allowed: once") from None
     except (TypeError, KeyError, AttributeError, RecursionError):
         allowed = '{"network": {TABLE: {"fields": [..], "data": [..]}}}'
         raise CaseError(f"{path}: no tables of a grid; allowed: {allowed}") from None
@@ -198,19 +199,6 @@ def _tables(path: Path, text: str) -> dict[str, list[_Row]]:
     if missing is not None:
         raise CaseError(f"{path}: RAWX table {missing!r} has no data, allowed: a list")
     return {table.lower(): list(_rows(path, text, table, names)) for table, names in named.items()}
-
-
-class _GivenTwiceError(Exception):
-    """A name that stands twice in one object."""
-
-
-def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    result: dict[str, Any] = {}
-    for name, value in pairs:
-        if name in result:
-            raise _GivenTwiceError(name)
-        result[name] = value
-    return result
 
 
 def _names(path: Path, table: str, names: list[Any]) -> list[str]:
