@@ -366,26 +366,11 @@ class _Spoken(FmuLog):
 
 
 class _Served(FmuParticipant):
-    """The instance in the worker: states are kept here by number."""
+    """The instance in the worker."""
 
     def __init__(self, name: str, path: str) -> None:
         super().__init__(name, FmuFile(Path(path)))
         self.log = _Spoken(name, lambda: self.now_s)
-        self._states: dict[int, Any] = {}
-        self._last_state = 0
-
-    def do(self, method: str, arguments: tuple[Any, ...]) -> Any:
-        """Do one call of the parent."""
-        if method == "save":
-            self._last_state += 1
-            self._states[self._last_state] = self.save()
-            return self._last_state
-        if method == "restore":
-            return self.restore(self._states[arguments[0]])
-        if method == "release":
-            return self.release(self._states.pop(arguments[0]))
-        result = getattr(self, method)(*arguments)
-        return (list(self.y), list(self.dy)) if method == "receive" else result
 
     def close(self) -> None:
         """End the instance, and the file that this process has opened."""
@@ -400,9 +385,26 @@ class _Served(FmuParticipant):
         self.send(order)
 
 
+def _done(
+    served: _Served | ServedRealCode, states: dict[int, Any], method: str, arguments: tuple[Any, ...]
+) -> Any:
+    """Do one call of the parent; states stay here, by number."""
+    if method == "save":
+        number = 1 + max(states, default=0)
+        states[number] = served.save()
+        return number
+    if method == "restore":
+        return served.restore(states[arguments[0]])
+    if method == "release":
+        return served.release(states.pop(arguments[0]))
+    result = getattr(served, method)(*arguments)
+    return (list(served.y), list(served.dy)) if method == "receive" else result
+
+
 def serve(calls: IO[bytes], answers: IO[bytes]) -> None:
     """Answer calls until their end; then end the instance."""
     served: _Served | ServedRealCode | None = None
+    states: dict[int, Any] = {}
     try:
         while True:
             try:
@@ -420,7 +422,7 @@ def serve(calls: IO[bytes], answers: IO[bytes]) -> None:
                     served.stops_early = stops_early
                     if unsent is not None:
                         served.take(*unsent)
-                    result = served.do(method, arguments)
+                    result = _done(served, states, method, arguments)
                 answer: tuple[bool, Any] = (False, result)
             except Exception as error:
                 answer = (True, error)

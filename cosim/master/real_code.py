@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from interarea.fmu_build.open.ports import Description, Port
-from interarea.fmu_build.open.real_code import ERROR, MESSAGE, RealCode, RealCodeLibrary
+from interarea.fmu_build.open.real_code import ERROR, MESSAGE, RealCode, RealCodeLibrary, text_of
 
 from ..errors import GraphError, StepError, nearest
 from .fmu_log import FmuLog
@@ -22,16 +22,11 @@ class ServedRealCode:
 
     def __init__(self, name: str, path: str) -> None:
         self.name = name
-        self.library = RealCodeLibrary(Path(path))
-        info = self.library.info
-        self.description = Description(
-            tuple(Port(p.name, description=p.description) for p in info.inputs),
-            tuple(Port(p.name, discrete=True, description=p.description) for p in info.outputs),
-            {},
-            input_order=3,
-            saves_state=True,
-            title=info.texts["name"],
-        )
+        self.library = library = RealCodeLibrary(Path(path))
+        inputs = tuple(Port(p.name, description=p.description) for p in library.inputs)
+        outputs = tuple(Port(p.name, discrete=True, description=p.description) for p in library.outputs)
+        title = text_of(library.info.name)
+        self.description = Description(inputs, outputs, {}, input_order=3, saves_state=True, title=title)
         self.stops_early = False
         self.log = FmuLog(name, lambda: self.time_s)
         self.time_s: float | None = None
@@ -41,21 +36,16 @@ class ServedRealCode:
         self._poly: dict[str, list[float]] = {}
         self._sample = 0
         self._origin = 0.0
-        self._states: list[tuple[bytes, int, float, dict[str, list[float]]]] = []
-
-    def do(self, method: str, arguments: tuple[Any, ...]) -> Any:
-        """Do one call of the parent."""
-        return getattr(self, method)(*arguments)
+        self.y: list[float] = []
+        self.dy = ()  #: outputs are held
 
     def set_start(self, start: Mapping[str, Value]) -> None:
         """Take values of parameters, inputs and outputs for the next `begin`."""
-        info = self.library.info
-        names = [p.name for p in (*info.parameters, *info.inputs, *info.outputs)]
+        library = self.library
+        names = [p.name for p in (*library.parameters, *library.inputs, *library.outputs)]
         for key in start:
             if key not in names:
-                raise GraphError(
-                    f"{self.name}: no {key!r} in {self.library.path.name}; {nearest(key, names)}"
-                )
+                raise GraphError(f"{self.name}: no {key!r} in {library.path.name}; {nearest(key, names)}")
         self._start = start
 
     def bind(self, inputs: tuple[str, ...], slopes: tuple[str, ...]) -> None:
@@ -88,7 +78,7 @@ class ServedRealCode:
 
     def advance(self, time_s: float, length_s: float) -> None:
         """Call the DLL at each of its sample times up to the end of the step."""
-        step = self.library.info.sample_time_s
+        step = self.library.info.sample_time
         while (at := self._origin + (self._sample + 1) * step) <= time_s + length_s + _SLACK * step:
             h = at - time_s
             for name, (u, d1, d2, d3) in self._poly.items():
@@ -98,25 +88,22 @@ class ServedRealCode:
             self._sample += 1
         self.time_s = time_s + length_s
 
-    def receive(self, slopes: bool) -> tuple[list[float], list[float]]:
-        """Return the outputs; they have no slopes."""
-        return [self._model.outputs[p.name] for p in self.description.outputs], []
+    def receive(self, slopes: bool) -> None:
+        """Read the outputs; they have no slopes."""
+        self.y = [self._model.outputs[p.name] for p in self.description.outputs]
 
-    def save(self) -> int:
-        """Keep a copy of the state; return its number."""
-        state = (self._model.snapshot(), self._sample, self.time_s or 0.0, dict(self._poly))
-        self._states.append(state)
-        return len(self._states) - 1
+    def save(self) -> tuple[bytes, int, float | None, dict[str, list[float]]]:
+        """Return a copy of the state."""
+        return self._model.snapshot(), self._sample, self.time_s, dict(self._poly)
 
-    def restore(self, number: int) -> None:
+    def restore(self, state: tuple[bytes, int, float | None, dict[str, list[float]]]) -> None:
         """Go back to a copy."""
-        snapshot, self._sample, self.time_s, self._poly = self._states[number]
+        snapshot, self._sample, self.time_s, poly = state
+        self._poly = dict(poly)
         self._model.restore(snapshot)
 
-    def release(self, number: int) -> None:
-        """Forget a copy; the last one leaves no place behind."""
-        if number == len(self._states) - 1:
-            self._states.pop()
+    def release(self, state: Any) -> None:
+        """Nothing to free."""
 
     def close(self) -> None:
         """End the instance."""

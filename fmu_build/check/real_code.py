@@ -6,27 +6,29 @@ finding: a second Model_Outputs at the same time may go on, Model_Iterate may ch
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import math
-import platform
 import re
 import sys
 from collections.abc import Callable, Iterable
-from functools import partial
 from pathlib import Path
 
+from ..errors import FmuFileError
 from ..finding import Report
-from ..open.images import ImageError, read_image
+from ..open.fmu_file import host_folders
+from ..open.images import FOLDERS, ImageError, read_image
 from ..open.real_code import ERROR, REQUIRED, RealCode, RealCodeLibrary, Values
+from .runs import Tell
 
 INTERFACE = "DLL"
-Tell = Callable[[str, str, str, str], None]
 _STEPS = 40
-_SWINGS = ((1.0, 0.1), (0.0, 1e-3))  #: mean and amplitude of the inputs
+_GUARD = b"\xa5" * 64  #: beside each array of states
+_Swing = tuple[float, float]  #: mean and amplitude of the inputs
+_NEAR_ONE: _Swing = (1.0, 0.1)
+_SWINGS: tuple[_Swing, ...] = (_NEAR_ONE, (0.0, 1e-3))
 _BITS = {"x86": 32, "x86_64": 64, "arm64": 64}
 _SYSTEMS = {"PE": "Windows", "ELF": "Linux", "Mach-O": "macOS"}
-_FORMAT = {"win32": "PE", "darwin": "Mach-O"}.get(sys.platform, "ELF")
-_NAMES = {"amd64": "x86_64", "aarch64": "arm64"}
 
 
 def check_library(path: Path, report: Report) -> bool:
@@ -40,57 +42,57 @@ def check_library(path: Path, report: Report) -> bool:
     parts = (*path.parts[-3:-1], path.stem)
     declared = {b for part in parts for b in re.findall(r"(?:win|linux|bin|_)(32|64)$", part)}
     if declared and str(bits) not in declared:
-        report.add(
-            "DLL bits",
-            path.name,
-            f"has {bits} bits; its name or folder says {' and '.join(sorted(declared))}",
-            "build it for the tool that loads it: ATP takes 32 bits, PSCAD those of its Fortran compiler",
-        )
+        reason = f"has {bits} bits; its name or folder says {' and '.join(sorted(declared))}"
+        advice = "build it for the tool that loads it: ATP takes 32 bits, PSCAD those of its Fortran compiler"
+        report.add("DLL bits", path.name, reason, advice)
     missing = [name for name in REQUIRED if name not in image.exports]
     if missing:
         reason = f"no IEEE/CIGRE DLL: it does not have {', '.join(missing)}"
         report.add("DLL functions", path.name, reason, "export them under these names, as C functions")
-    machine = platform.machine().lower()
-    loads = (image.format, image.machine) == (_FORMAT, _NAMES.get(machine, machine))
+    loads = False
+    with contextlib.suppress(FmuFileError):  # a machine that no binary is made for
+        loads = any(FOLDERS[name][:2] == (image.format, image.machine) for name in host_folders())
     if not loads:
         system = _SYSTEMS[image.format]
         report.not_run.append(f"a {bits}-bit library for {system} ({image.machine}) cannot be loaded here")
     return loads and not missing
 
 
-def _run(model: RealCode, steps: Iterable[int], swing: tuple[float, float]) -> list[bytes]:
+def _run(model: RealCode, steps: Iterable[int], swing: _Swing) -> list[bytes]:
     """Outputs after each call of Model_Outputs."""
     return [_step(model, k, swing) for k in steps]
 
 
-def _step(model: RealCode, k: int, swing: tuple[float, float]) -> bytes:
-    step = model.library.info.sample_time_s
+def _step(model: RealCode, k: int, swing: _Swing) -> bytes:
     _excite(model, k, swing)
-    model.call("Model_Outputs", k * step)
+    model.call("Model_Outputs", k * model.library.info.sample_time)
     return bytes(model.outputs.structure)
 
 
-def _excite(model: RealCode, k: int, swing: tuple[float, float]) -> None:
-    mean, size = swing
-    for i, port in enumerate(model.library.info.inputs):
+def _excite(model: RealCode, k: int, swing: _Swing) -> None:
+    for i, port in enumerate(model.library.inputs):
         if port.type != 10:
-            model.inputs[port.name] = mean + size * math.sin(0.3 * k + 1.0 + i)
+            model.inputs[port.name] = swing[0] + swing[1] * math.sin(0.3 * k + 1.0 + i)
 
 
-def _start(model: RealCode, swing: tuple[float, float], times: int = 1, fill: int = 0) -> int:
+def _start(model: RealCode, swing: _Swing, times: int = 1, fill: int = 0) -> int:
     """What a tool calls before the first step; `fill`: bytes between the ports, which mean nothing."""
     for values in (model.inputs, model.outputs, model.parameters):
         _pad(values, fill)
     _excite(model, 0, swing)
     model.call("Model_FirstCall", 0.0)
-    code = 0
-    for _ in range(times):
-        code = max(code, model.call("Model_CheckParameters"))
+    code = max(model.call("Model_CheckParameters") for _ in range(times))
     outputs = model.outputs.structure
     for _ in range(times):
         ctypes.memset(ctypes.addressof(outputs), 0, ctypes.sizeof(outputs))
         code = max(code, model.call("Model_Initialize"))
     return code
+
+
+def _started(library: RealCodeLibrary, swing: _Swing, times: int = 1, fill: int = 0) -> RealCode:
+    model = RealCode(library)
+    _start(model, swing, times, fill)
+    return model
 
 
 def _gaps(values: Values) -> list[int]:
@@ -109,37 +111,37 @@ def _pad(values: Values, fill: int) -> None:
 def description(library: RealCodeLibrary, tell: Tell) -> None:
     """Names, ranges, sample time, and that the DLL runs with its defaults."""
     info = library.info
-    for group in (info.inputs, info.outputs, info.parameters):
+    for group in (library.inputs, library.outputs, library.parameters):
         names = [p.name for p in group]
-        for p in group:
-            if not re.fullmatch(r"[A-Za-z_]\w*", p.name, re.ASCII):
-                tell("DLL names", repr(p.name), "is no C identifier", "use letters, digits and _ only")
-            elif names.count(p.name) > 1:
-                tell("DLL names", p.name, "is used twice", "give each port a name of its own")
-    for p in info.parameters:
+        for name in names:
+            if not re.fullmatch(r"[A-Za-z_]\w*", name, re.ASCII):
+                tell("DLL names", repr(name), "is no C identifier", "use letters, digits and _ only")
+            elif names.count(name) > 1:
+                tell("DLL names", name, "is used twice", "give each port a name of its own")
+    for p in library.parameters:
         if isinstance(p.start, int | float) and not p.low <= p.start <= p.high:
             reason = f"default {p.start:g} lies outside {p.low:g} to {p.high:g}"
             tell("DLL ranges", p.name, reason, "put the default into the range")
-    if not info.sample_time_s > 0.0:
-        tell("DLL sample time", INTERFACE, f"is {info.sample_time_s:g} s", "give a time above 0")
-    if info.version[0] != 1:
-        tell("DLL version", INTERFACE, f"is {info.version}, allowed: 1.x", "write the interface's version")
+    if not info.sample_time > 0.0:
+        tell("DLL sample time", INTERFACE, f"is {info.sample_time:g} s", "give a time above 0")
+    version = tuple(info.version)
+    if version[0] != 1:
+        tell("DLL version", INTERFACE, f"is {version}, allowed: 1.x", "write the interface's version")
     model = RealCode(library)
-    if _start(model, _SWINGS[0]) >= ERROR:
-        tell(
-            "DLL start", INTERFACE, f"refuses its own defaults: {model.text()}", "give defaults that it takes"
-        )
+    if _start(model, _NEAR_ONE) >= ERROR:
+        reason = f"refuses its own defaults: {model.text()}"
+        tell("DLL start", INTERFACE, reason, "give defaults that it takes")
 
 
 def finite(library: RealCodeLibrary, tell: Tell) -> None:
     """Finite inputs near 1 give finite outputs, or a return code of 2."""
     model = RealCode(library)
-    if _start(model, _SWINGS[0]) >= ERROR:
+    if _start(model, _NEAR_ONE) >= ERROR:
         return
-    reals = [p.name for p in library.info.outputs if p.type in (8, 9)]
+    reals = [p.name for p in library.outputs if p.type in (8, 9)]
     for k in range(1, 4 * _STEPS):
-        _excite(model, k, _SWINGS[0] if k < 2 * _STEPS else (1.0, 0.5))
-        code = model.call("Model_Outputs", k * library.info.sample_time_s)
+        _excite(model, k, _NEAR_ONE if k < 2 * _STEPS else (1.0, 0.5))
+        code = model.call("Model_Outputs", k * library.info.sample_time)
         bad = [name for name in reals if not math.isfinite(model.outputs[name])]
         if bad and code < ERROR:
             reason = f"is {model.outputs[bad[0]]} after finite inputs with return code {code}"
@@ -150,67 +152,54 @@ def finite(library: RealCodeLibrary, tell: Tell) -> None:
 def padding(library: RealCodeLibrary, tell: Tell) -> None:
     """Bytes between the ports of a structure are neither read nor written."""
     for swing in _SWINGS:
-        rows = []
+        rows, done = [], ""
         for fill in (0x00, 0x5A, 0x00):
-            model = RealCode(library)
-            _start(model, swing, fill=fill)
+            model = _started(library, swing, fill=fill)
             _pad(model.outputs, fill)
             gaps = _gaps(model.outputs)
             row = _run(model, range(1, _STEPS), swing)
-            written = any(r[at] != fill for r in row for at in gaps)
+            if any(r[at] != fill for r in row for at in gaps):
+                done = "writes"
             rows.append([bytes(b for at, b in enumerate(r) if at not in gaps) for r in row])
-            if written:
-                break
-        if written or rows[0] == rows[2] != rows[1]:
-            done = "writes" if written else "reads"
-            tell(
-                "DLL alignment",
-                INTERFACE,
-                f"{done} bytes of a structure that lie between its ports",
-                "lay structures out in natural alignment: no packing",
-            )
+        if not done and rows[0] == rows[2] != rows[1]:
+            done = "reads"
+        if done:
+            reason = f"{done} bytes of a structure that lie between its ports"
+            tell("DLL alignment", INTERFACE, reason, "lay structures out in natural alignment: no packing")
             return
 
 
-def _repeated_start(library: RealCodeLibrary, swing: tuple[float, float]) -> bool:
-    once, often = RealCode(library), RealCode(library)
-    _start(once, swing)
-    first = _run(once, range(1, _STEPS), swing)
-    _start(often, swing, times=5)
-    return _run(often, range(1, _STEPS), swing) == first
+def _repeated_start(library: RealCodeLibrary, swing: _Swing) -> bool:
+    once, often = (_run(_started(library, swing, n), range(1, _STEPS), swing) for n in (1, 5))
+    return once == often
 
 
-def _time(library: RealCodeLibrary, swing: tuple[float, float]) -> bool:
-    model = RealCode(library)
-    _start(model, swing)
+def _time(library: RealCodeLibrary, swing: _Swing) -> bool:
+    model = _started(library, swing)
     _run(model, range(1, _STEPS), swing)
-    return bool(model.raw.time == (_STEPS - 1) * library.info.sample_time_s)
+    return bool(model.raw.time == (_STEPS - 1) * library.info.sample_time)
 
 
-def _restart(library: RealCodeLibrary, swing: tuple[float, float]) -> bool:
-    model, rows = RealCode(library), []
-    for _ in range(2):
-        _start(model, swing)
-        rows.append(_run(model, range(1, _STEPS), swing))
-    return rows[0] == rows[1]
+def _restart(library: RealCodeLibrary, swing: _Swing) -> bool:
+    model = _started(library, swing)
+    first = _run(model, range(1, _STEPS), swing)
+    _start(model, swing)
+    return _run(model, range(1, _STEPS), swing) == first
 
 
-def _two_instances(library: RealCodeLibrary, swing: tuple[float, float]) -> bool:
-    alone, one, other = (RealCode(library) for _ in range(3))
-    _start(alone, swing)
-    first, beside = _run(alone, range(1, _STEPS), swing), (swing[0] * 0.8, swing[1] * 2)
-    _start(one, swing)
-    _start(other, beside)
+def _two_instances(library: RealCodeLibrary, swing: _Swing) -> bool:
+    alone = _run(_started(library, swing), range(1, _STEPS), swing)
+    beside = (swing[0] * 0.8, swing[1] * 2)
+    one, other = _started(library, swing), _started(library, beside)
     rows = []
     for k in range(1, _STEPS):
         _step(other, k + 3, beside)
         rows.append(_step(one, k, swing))
-    return rows == first
+    return rows == alone
 
 
-def _snapshot(library: RealCodeLibrary, swing: tuple[float, float]) -> bool:
-    model, rest = RealCode(library), range(_STEPS // 2, _STEPS)
-    _start(model, swing)
+def _snapshot(library: RealCodeLibrary, swing: _Swing) -> bool:
+    model, rest = _started(library, swing), range(_STEPS // 2, _STEPS)
     _run(model, range(1, _STEPS // 2), swing)
     saved = model.snapshot()
     rows = _run(model, rest, swing)
@@ -218,58 +207,32 @@ def _snapshot(library: RealCodeLibrary, swing: tuple[float, float]) -> bool:
     return _run(model, rest, swing) == rows
 
 
-#: what is compared -> whether it is the same, the rule, what is wrong if it is not, what to do
-_COMPARED: dict[str, tuple[Callable[[RealCodeLibrary, tuple[float, float]], bool], str, str, str]] = {
-    "repeated start": (
-        *(_repeated_start, "DLL repeated calls"),
-        "Model_Initialize called five times gives another run than called once",
-        "start from the arguments alone: tools call it until the release time",
-    ),
-    "time": (_time, "DLL time", "Model_Outputs changes Time", "leave Time to the tool"),
-    "restart": (
-        *(_restart, "DLL restart"),
-        "after a run, Model_Initialize at time 0 does not begin the same run",
-        "set every state in Model_Initialize: time goes back in multiple runs",
-    ),
-    "two instances": (
-        *(_two_instances, "DLL instances"),
-        "an instance runs otherwise when another one runs beside it",
-        "keep no variable of a run outside the instance: no globals, no static",
-    ),
-    "snapshot": (
-        *(_snapshot, "DLL snapshots"),
-        "continued from its state arrays it runs otherwise",
-        "keep all states in IntStates, FloatStates and DoubleStates",
-    ),
-}
+def _compared(
+    same: Callable[[RealCodeLibrary, _Swing], bool], *words: str
+) -> Callable[[RealCodeLibrary, Tell], None]:
+    """Return a topic; words : the rule, what is wrong if `same` says no, what to do."""
 
+    def topic(library: RealCodeLibrary, tell: Tell) -> None:
+        if not all(same(library, swing) for swing in _SWINGS):
+            tell(words[0], INTERFACE, *words[1:])
 
-def _compare(what: str, library: RealCodeLibrary, tell: Tell) -> None:
-    same, rule, reason, advice = _COMPARED[what]
-    if not all(same(library, swing) for swing in _SWINGS):
-        tell(rule, INTERFACE, reason, advice)
+    return topic
 
 
 def messages(library: RealCodeLibrary, tell: Tell) -> None:
     """The texts of two instances do not lie in one place that the DLL writes to."""
-    places = []
-    for swing in _SWINGS:
-        model = RealCode(library)
-        _start(model, swing)
+    models = [_started(library, swing) for swing in _SWINGS]
+    for model, swing in zip(models, _SWINGS, strict=True):
         _step(model, 1, swing)
-        places.append(model.text_addresses())
-    for name, one, other in zip(("LastErrorMessage", "LastGeneralMessage"), *places, strict=True):
-        if one and one == other and _writable(one):
-            tell(
-                "DLL messages",
-                name,
-                "points to one text that all instances share and the DLL writes",
-                "keep the text of each instance in its own states",
-            )
+    places = [model.text_addresses() for model in models]
+    for name, at in places[0].items():
+        if at and at == places[1][name] and _writable(at):
+            reason = "points to one text that all instances share and the DLL writes"
+            tell("DLL messages", name, reason, "keep the text of each instance in its own states")
 
 
 def _writable(address: int) -> bool:
-    """Whether this process may write there; False where that cannot be reason."""
+    """Whether this process may write there; False where that cannot be read."""
     try:
         lines = Path("/proc/self/maps").read_text(encoding="utf-8").splitlines()
     except OSError:
@@ -287,28 +250,29 @@ def leaks(library: RealCodeLibrary, tell: Tell) -> None:
     used = _heap()
     if used is None:
         return
-    model = RealCode(library)
+    model, step_s = RealCode(library), library.info.sample_time
 
-    def lives(count: int) -> int:
-        before = used()
+    def lives(count: int) -> None:
         for _ in range(count):
-            _start(model, _SWINGS[0])
-            model.call("Model_Outputs", library.info.sample_time_s)
+            _start(model, _NEAR_ONE)
+            model.call("Model_Outputs", step_s)
             model.call("Model_Terminate")
-        return used() - before
 
-    def steps(count: int) -> int:
-        _start(model, _SWINGS[0])
-        before = used()
+    def steps(count: int) -> None:
         for k in range(1, count):
-            model.call("Model_Outputs", k * library.info.sample_time_s)
+            model.call("Model_Outputs", k * step_s)
+
+    def growth(what: Callable[[int], None], count: int) -> int:
+        _start(model, _NEAR_ONE)
+        before = used()
+        what(count)
         return used() - before
 
-    for what, growth in (("an instance started and terminated", lives), ("a call of Model_Outputs", steps)):
-        growth(20)
-        few, many = growth(100), growth(400)
-        if many - few > 300 * 8:
-            reason = f"{what} loses {(many - few) / 300:.0f} bytes"
+    for name, what in (("an instance started and terminated", lives), ("a call of Model_Outputs", steps)):
+        growth(what, 20)
+        lost = growth(what, 400) - growth(what, 100)
+        if lost > 300 * 8:
+            reason = f"{name} loses {lost / 300:.0f} bytes"
             tell("DLL memory", INTERFACE, reason, "free in Model_Terminate what Model_FirstCall took")
 
 
@@ -327,22 +291,19 @@ def _heap() -> Callable[[], int] | None:
 
 def bounds(library: RealCodeLibrary, tell: Tell) -> None:
     """Nothing is written beside the arrays of states."""
-    info = library.info
-    model = RealCode(library)
-    guarded = []
-    for name, kind, count in (
-        ("int_states", ctypes.c_int32, info.n_int),
-        ("float_states", ctypes.c_float, info.n_float),
-        ("double_states", ctypes.c_double, info.n_double),
-    ):
-        buffer = (ctypes.c_ubyte * (128 + count * ctypes.sizeof(kind)))(*([0xA5] * 64))
-        ctypes.memset(ctypes.addressof(buffer) + len(buffer) - 64, 0xA5, 64)
-        setattr(model.raw, name, ctypes.addressof(buffer) + 64)
-        guarded.append((name, buffer))
-    _start(model, _SWINGS[0])
-    _run(model, range(1, _STEPS), _SWINGS[0])
-    for name, buffer in guarded:
-        if any(b != 0xA5 for b in (*buffer[:64], *buffer[-64:])):
+    info, model, guarded = library.info, RealCode(library), {}
+    sizes = {
+        "int_states": 4 * info.n_int,
+        "float_states": 4 * info.n_float,
+        "double_states": 8 * info.n_double,
+    }
+    for name, size in sizes.items():
+        guarded[name] = ctypes.create_string_buffer(_GUARD + bytes(size) + _GUARD, size + 2 * len(_GUARD))
+        setattr(model.raw, name, ctypes.addressof(guarded[name]) + len(_GUARD))
+    _start(model, _NEAR_ONE)
+    _run(model, range(1, _STEPS), _NEAR_ONE)
+    for name, buffer in guarded.items():
+        if not (buffer.raw.startswith(_GUARD) and buffer.raw.endswith(_GUARD)):
             tell("DLL states", name, "is written beyond its declared number", "declare as many as it writes")
 
 
@@ -351,7 +312,27 @@ TOPICS: dict[str, Callable[[RealCodeLibrary, Tell], None]] = {
     "bounds": bounds,
     "finite outputs": finite,
     "alignment": padding,
-    **{what: partial(_compare, what) for what in _COMPARED},
+    "repeated start": _compared(
+        *(_repeated_start, "DLL repeated calls"),
+        "Model_Initialize called five times gives another run than called once",
+        "start from the arguments alone: tools call it until the release time",
+    ),
+    "time": _compared(_time, "DLL time", "Model_Outputs changes Time", "leave Time to the tool"),
+    "restart": _compared(
+        *(_restart, "DLL restart"),
+        "after a run, Model_Initialize at time 0 does not begin the same run",
+        "set every state in Model_Initialize: time goes back in multiple runs",
+    ),
+    "two instances": _compared(
+        *(_two_instances, "DLL instances"),
+        "an instance runs otherwise when another one runs beside it",
+        "keep no variable of a run outside the instance: no globals, no static",
+    ),
+    "snapshot": _compared(
+        *(_snapshot, "DLL snapshots"),
+        "continued from its state arrays it runs otherwise",
+        "keep all states in IntStates, FloatStates and DoubleStates",
+    ),
     "messages": messages,
     "leaks": leaks,
 }

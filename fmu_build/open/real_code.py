@@ -8,7 +8,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Mapping
 from ctypes import POINTER, c_char_p, c_double, c_float, c_int32, c_uint8, c_void_p
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -44,13 +44,13 @@ class _Parameter(ctypes.Structure):
     ]
 
 
-_TEXTS = "name model_version description general created creator modified modified_by comment history"
+class Info(ctypes.Structure):
+    """What Model_GetInfo tells; sample_time : s."""
 
-
-class _Info(ctypes.Structure):
     _fields_ = [
         ("version", c_uint8 * 4),
-        *_of(c_char_p, _TEXTS),
+        *_of(c_char_p, "name model_version description general created creator modified modified_by"),
+        *_of(c_char_p, "comment history"),
         ("sample_time", c_double),
         ("mode", c_uint8),
         ("n_inputs", c_int32),
@@ -88,52 +88,27 @@ class Port:
     high: Any = None
 
 
-@dataclass(frozen=True)
-class Info:
-    """What Model_GetInfo tells."""
-
-    version: tuple[int, ...]
-    texts: dict[str, str]
-    sample_time_s: float
-    mode: int
-    inputs: tuple[Port, ...]
-    outputs: tuple[Port, ...]
-    parameters: tuple[Port, ...]
-    n_int: int
-    n_float: int
-    n_double: int
-
-
-def _text(value: bytes | None) -> str:
+def text_of(value: bytes | None) -> str:
+    """Return a text of the library."""
     return (value or b"").decode("utf-8", "replace")
 
 
-def _signals(array: Any, count: int) -> tuple[Port, ...]:
-    return tuple(
-        Port(_text(s.name), _text(s.description), _text(s.unit), s.type, s.width) for s in array[:count]
+def _port(p: Any) -> Port:
+    port = Port(text_of(p.name), text_of(p.description), text_of(p.unit), p.type, getattr(p, "width", 1))
+    if not isinstance(p, _Parameter):
+        return port
+    start, low, high = (
+        getattr(v, f"t{p.type}" if p.type in TYPES else "t9") for v in (p.start, p.min, p.max)
     )
-
-
-def _parameter(p: _Parameter) -> Port:
-    field = f"t{p.type}" if p.type in TYPES else "t9"
-    value = [getattr(v, field) for v in (p.start, p.min, p.max)]
     if p.type == 10:
-        value = [_text(value[0]), None, None]
+        start, low, high = text_of(start), None, None
     elif p.type == 1:
-        value = [ord(v) for v in value]
-    return Port(_text(p.name), _text(p.description), _text(p.unit), p.type, 1, bool(p.fixed), *value)
-
-
-def _structure(ports: tuple[Port, ...]) -> type[ctypes.Structure]:
-    """The structure of these ports, in natural alignment."""
-    fields = [
-        (f"f{k}", TYPES[p.type] * p.width if p.width > 1 else TYPES[p.type]) for k, p in enumerate(ports)
-    ]
-    return type("Values", (ctypes.Structure,), {"_fields_": fields})
+        start, low, high = ord(start), ord(low), ord(high)
+    return replace(port, fixed=bool(p.fixed), start=start, low=low, high=high)
 
 
 class RealCodeLibrary:
-    """The functions of one DLL.
+    """The functions of one DLL, what it tells of itself (`info`), and its ports.
 
     Raises
     ------
@@ -150,7 +125,7 @@ class RealCodeLibrary:
         missing = [name for name in REQUIRED if not hasattr(self._c, name)]
         if missing:
             raise FmuFileError(f"{path}: no IEEE/CIGRE DLL: it does not have {', '.join(missing)}")
-        self._c.Model_GetInfo.restype = POINTER(_Info)
+        self._c.Model_GetInfo.restype = POINTER(Info)
         for name in (*REQUIRED[1:], *OPTIONAL[:2]):
             if hasattr(self._c, name):
                 getattr(self._c, name).argtypes = [c_void_p]
@@ -158,20 +133,11 @@ class RealCodeLibrary:
         info = self._c.Model_GetInfo()
         if not info:
             raise FmuFileError(f"{path}: Model_GetInfo gives no description")
-        i = info.contents
-        self.info = Info(
-            tuple(i.version),
-            {name: _text(getattr(i, name)) for name in _TEXTS.split()},
-            i.sample_time,
-            i.mode,
-            _signals(i.inputs, i.n_inputs),
-            _signals(i.outputs, i.n_outputs),
-            tuple(_parameter(p) for p in i.parameters[: i.n_parameters]),
-            i.n_int,
-            i.n_float,
-            i.n_double,
-        )
-        ports = (*self.info.inputs, *self.info.outputs, *self.info.parameters)
+        i = self.info = info.contents
+        self.inputs = tuple(map(_port, i.inputs[: i.n_inputs]))
+        self.outputs = tuple(map(_port, i.outputs[: i.n_outputs]))
+        self.parameters = tuple(map(_port, i.parameters[: i.n_parameters]))
+        ports = (*self.inputs, *self.outputs, *self.parameters)
         bad = [p.name for p in ports if p.type not in TYPES or p.width < 1]
         if bad:
             raise FmuFileError(f"{path}: {', '.join(bad)}: type or width that the interface does not know")
@@ -184,10 +150,12 @@ class RealCodeLibrary:
 
 
 class Values:
-    """A structure of inputs, outputs or parameters, by name; of an array the first element."""
+    """A structure of ports in natural alignment, by name; of an array the first element."""
 
     def __init__(self, ports: tuple[Port, ...]) -> None:
-        self.structure = _structure(ports)()
+        types = [TYPES[p.type] * p.width if p.width > 1 else TYPES[p.type] for p in ports]
+        fields = [(f"f{k}", kind) for k, kind in enumerate(types)]
+        self.structure = type("Values", (ctypes.Structure,), {"_fields_": fields})()
         self._fields = {p.name: f"f{k}" for k, p in enumerate(ports)}
         self._texts: list[bytes] = []
 
@@ -221,26 +189,21 @@ class RealCode:
     """
 
     def __init__(self, library: RealCodeLibrary, values: Mapping[str, float | str] | None = None) -> None:
-        info = library.info
-        self.library = library
-        self.inputs, self.outputs = Values(info.inputs), Values(info.outputs)
-        self.parameters = Values(info.parameters)
+        self.library, info = library, library.info
+        self.inputs, self.outputs = Values(library.inputs), Values(library.outputs)
+        self.parameters = Values(library.parameters)
         self.ints = (c_int32 * max(info.n_int, 1))()
         self.floats = (c_float * max(info.n_float, 1))()
         self.doubles = (c_double * max(info.n_double, 1))()
-        unknown = sorted(set(values or {}) - {p.name for p in info.parameters})
+        unknown = sorted(name for name in values or {} if name not in self.parameters)
         if unknown:
-            allowed = ", ".join(p.name for p in info.parameters) or "none"
+            allowed = ", ".join(p.name for p in library.parameters) or "none"
             raise FmuFileError(f"{library.path}: no parameter {', '.join(unknown)}; allowed: {allowed}")
-        for p in info.parameters:
+        for p in library.parameters:
             self.parameters[p.name] = (values or {}).get(p.name, p.start)
-        self.raw = _Instance(
-            *(ctypes.addressof(v.structure) for v in (self.inputs, self.outputs, self.parameters)),
-            mode=1,
-            int_states=ctypes.addressof(self.ints),
-            float_states=ctypes.addressof(self.floats),
-            double_states=ctypes.addressof(self.doubles),
-        )
+        structures = (v.structure for v in (self.inputs, self.outputs, self.parameters))
+        states = (ctypes.addressof(array) for array in (self.ints, self.floats, self.doubles))
+        self.raw = _Instance(*map(ctypes.addressof, structures), 0.0, 1, None, None, *states)
 
     def call(self, name: str, time_s: float | None = None) -> int:
         """Call a function of the interface at a time; return 0, 1 (a message) or 2 (an error)."""
@@ -250,26 +213,23 @@ class RealCode:
 
     def text(self) -> str:
         """Return what the last call has said."""
-        return _text(self.raw.error) or _text(self.raw.message)
+        return text_of(self.raw.error) or text_of(self.raw.message)
 
-    def text_addresses(self) -> tuple[int, int]:
+    def text_addresses(self) -> dict[str, int]:
         """Return where the texts of errors and messages lie, 0 where there is none."""
-        at = [
-            c_void_p.from_buffer(self.raw, getattr(_Instance, name).offset) for name in ("error", "message")
-        ]
-        return at[0].value or 0, at[1].value or 0
+        names = {"LastErrorMessage": _Instance.error, "LastGeneralMessage": _Instance.message}
+        return {n: c_void_p.from_buffer(self.raw, field.offset).value or 0 for n, field in names.items()}
 
     def snapshot(self) -> bytes:
         """Return states and outputs: all that a tool stores of an instance."""
-        return b"".join(bytes(array) for array in self._stored())
+        return b"".join(map(bytes, self._stored()))
 
     def restore(self, snapshot: bytes) -> None:
         """Continue from a snapshot of this or another process."""
         at = 0
         for array in self._stored():
-            size = ctypes.sizeof(array)
-            ctypes.memmove(ctypes.addressof(array), snapshot[at : at + size], size)
-            at += size
+            ctypes.memmove(ctypes.addressof(array), snapshot[at:], ctypes.sizeof(array))
+            at += ctypes.sizeof(array)
 
     def _stored(self) -> tuple[Any, ...]:
         return (self.ints, self.floats, self.doubles, self.outputs.structure)

@@ -10,6 +10,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -25,12 +26,14 @@ from .description_xml import integer_range, product_version, record_entries
 from .sources import fmi_sources, gather_sources, record_source
 
 _C = Path(__file__).resolve().parents[1] / "c"
-_FRONT = (_C / "dll" / "real_code.c", _C / "dll" / "real_code_data.c")
+_FRONT = _C / "dll" / "real_code.c"
 _LAYER = ("fmi2_common", "fmi2_cs", "fmi2_values", "instance", "placement", "solver")
 _MARK = b"interarea-record"
-_LEAST_ROOM = 1 << 14
-MOST_MEMBERS, MOST_SIGNALS, MOST_PARAMETERS = 24, 256, 1024  #: c/dll/real_code.c
+_LEAST_ROOM = 1 << 14  #: bytes, CAPACITY of c/dll/real_code.c
+MOST_MEMBERS, MOST_SIGNALS, MOST_PARAMETERS = 24, 512, 1024  #: c/dll/real_code.c
 UNBOUNDED = 1e30  #: range of a parameter that has none: tools want a number
+_ENTRY = re.compile(r"[A-Za-z_]\w*\[\d+,\d+\]")  #: of a matrix
+_Row = tuple[int, int, int, int]  #: Port of c/dll/real_code.c
 
 #: Where such a library runs, by name; tools with 32 bits (ATP) take win32.
 DLL_PLATFORMS: dict[str, Platform] = {
@@ -56,13 +59,12 @@ class Chain:
     kind = "chain"
 
 
-@dataclass(frozen=True)
-class _Port:
-    """A variable that the DLL shows, the name it has there, and the number of its member."""
+class _Port(NamedTuple):
+    """A variable that the DLL shows, the name it has there, and what the C file reads of it."""
 
-    member: int
     shown: str
     variable: Variable
+    row: _Row
 
 
 def build_dll(
@@ -135,9 +137,10 @@ def dll_sources(block: Sequence[Path], record_size: int) -> dict[str, bytes]:
     while room < record_size:
         room *= 2
     layer = tuple(p for p in fmi_sources() if p.stem in _LAYER)
-    size = _C / "dll" / "real_code_size.h"
-    sources = gather_sources((*layer, *_FRONT, *block, record_source()))
-    sources[size.name] = sources[size.name].replace(b"16384", str(room).encode())
+    sources = gather_sources((*layer, _FRONT, *block, record_source()))
+    sources[_FRONT.name] = sources[_FRONT.name].replace(
+        b"CAPACITY = %d " % _LEAST_ROOM, b"CAPACITY = %d " % room
+    )
     if any(path.name == "chain.c" for path in block):  # whose members are of both kinds
         sources["instance.h"] = b"#define RECORDS_SAY_SAMPLED\n" + sources["instance.h"]
     name = "fmi2Functions.h"
@@ -156,84 +159,76 @@ def port_name(name: str) -> str:
     return re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_")
 
 
-def parameters_of(block: Block) -> list[Variable]:
-    """Return the parameters that a tool's user sees: not the entries of matrices, which are the design."""
-    parameters = _of_role(block, "parameter")
-    return [v for v in parameters if not re.fullmatch(r"[A-Za-z_]\w*\[\d+,\d+\]", v.name)]
-
-
-def _of_role(block: Block, role: Role) -> list[Variable]:
-    return [*block.table.of_role(role), *block.table.of_role(role, integers=True)]
-
-
-def _ports(block: Block | Chain) -> list[list[_Port]]:
-    """Inputs, outputs and parameters that the DLL shows; what a connection feeds is no input."""
-    exposed: dict[Role, list[_Port]] = {"input": [], "output": [], "parameter": []}
-    chain = _as_chain(block)
-    fed = {target for _, target in chain.connections}
-    for k, (name, b) in enumerate(chain.members.items()):
-        for role, ports in exposed.items():
-            variables = parameters_of(b) if role == "parameter" else _of_role(b, role)
-            for v in variables:
-                if f"{name}.{v.name}" not in fed:
-                    ports.append(_Port(k, _name_in_chain(name, b, v) if chain is block else v.name, v))
-    return list(exposed.values())
-
-
-def _name_in_chain(member: str, block: Block, v: Variable) -> str:
-    if v.role == "parameter":
-        return f"{member}.{v.name}"
-    return shown_name(member, "controller" if block.kind in ("controller", "supervisor") else "channel", v)
-
-
 def _as_chain(block: Block | Chain) -> Chain:
     return block if isinstance(block, Chain) else Chain(block.name, {block.name: block})
 
 
-def _wires(chain: Chain) -> list[tuple[int, int, int, int, int]]:
-    """Of each connection: whether it is of integers, member and value reference at both ends.
+def _ports(block: Block | Chain) -> dict[Role, list[_Port]]:
+    """Inputs, outputs and parameters that the DLL shows.
+
+    What a connection feeds is no input, and the entries of matrices are no parameters: they are the design.
+    """
+    ports: dict[Role, list[_Port]] = {"input": [], "output": [], "parameter": []}
+    chain = _as_chain(block)
+    hidden = {target for _, target in chain.connections}
+    for member, b in chain.members.items():
+        for role, of_role in ports.items():
+            for v in (*b.table.of_role(role), *b.table.of_role(role, integers=True)):
+                name = f"{member}.{v.name}"
+                if name not in hidden and not (role == "parameter" and _ENTRY.fullmatch(v.name)):
+                    if role != "parameter":
+                        kept = b.kind in ("controller", "supervisor")
+                        name = shown_name(member, "controller" if kept else "channel", v)
+                    of_role.append(_Port(name if chain is block else v.name, v, _row(chain, member, v)))
+    return ports
+
+
+def _row(chain: Chain, member: str, v: Variable) -> _Row:
+    """Whether it is an integer, its value reference, whether it counts at the start only, its member."""
+    fixed = v.role == "parameter" and not v.tunable
+    reference = chain.members[member].table.value_reference(v.name)
+    return v.type != "Real", reference, fixed, list(chain.members).index(member)
+
+
+def _feeds(chain: Chain, inputs: Sequence[_Port]) -> list[tuple[_Row, _Row]]:
+    """Of each input of the members what feeds it, the tool's k-th value or an output, and the input.
 
     Raises
     ------
     BuildError : an end that does not exist, one that leads backwards, or ports of two types.
     """
-    numbers, rows = {name: k for k, name in enumerate(chain.members)}, []
+    feeds: list[tuple[_Row, _Row]] = [((0, k, 0, -1), port.row) for k, port in enumerate(inputs)]
     for source, target in chain.connections:
-        ends = []
+        rows = []
         for end, role in ((source, "output"), (target, "input")):
             member, _, port = end.partition(".")
-            table = chain.members[member].table if member in chain.members else ()
-            v = next((v for v in table if v.name == port and v.role == role), None)
+            variables = chain.members[member].table if member in chain.members else ()
+            v = next((v for v in variables if (v.name, v.role) == (port, role)), None)
             if v is None:
                 raise BuildError(f"{chain.name}: {source} -> {target}: {end} is no {role} of a member")
-            ends.append(
-                (numbers[member], chain.members[member].table.value_reference(port), v.type != "Real")
-            )
-        if not (ends[0][0] < ends[1][0] and ends[0][2] == ends[1][2]):
+            rows.append(_row(chain, member, v))
+        if not (rows[0][3] < rows[1][3] and rows[0][0] == rows[1][0]):
             raise BuildError(
                 f"{chain.name}: {source} -> {target} leads backwards or joins two types, allowed: "
                 "from a member to a later one"
             )
-        rows.append((int(ends[0][2]), *ends[0][:2], *ends[1][:2]))
-    return rows
+        feeds.append((rows[0], rows[1]))
+    return feeds
 
 
-def _check(block: Block | Chain, groups: Sequence[list[_Port]]) -> None:
-    inputs, outputs, parameters = groups
-    members = _as_chain(block).members
-    kinds = [b.kind for b in members.values()]
+def _check(block: Block | Chain, ports: Mapping[Role, Sequence[_Port]]) -> None:
+    kinds = [b.kind for b in _as_chain(block).members.values()]
     strange = set(kinds) - set(CHAIN_KINDS) if isinstance(block, Chain) else {"plant"} & set(kinds)
-    if strange or not 1 <= len(members) <= MOST_MEMBERS or max(len(inputs), len(outputs)) > MOST_SIGNALS:
+    n_in, n_out, n_parameters = map(len, ports.values())
+    room = 1 <= len(kinds) <= MOST_MEMBERS and n_in + n_out <= MOST_SIGNALS
+    if strange or not room or n_parameters > MOST_PARAMETERS:
         raise BuildError(
-            f"{block.name} is a {block.kind} of {', '.join(kinds)} with {len(inputs)} inputs and "
-            f"{len(outputs)} outputs, allowed for a DLL: a controller, supervisor, channel, PMU, or 1 to "
-            f"{MOST_MEMBERS} of them in a chain, with at most {MOST_SIGNALS} each"
+            f"{block.name} is a {block.kind} of {', '.join(kinds)} with {n_in} inputs, {n_out} outputs and "
+            f"{n_parameters} parameters, allowed for a DLL: a controller, supervisor, channel, PMU, or 1 to "
+            f"{MOST_MEMBERS} of them in a chain, with at most {MOST_SIGNALS} inputs and outputs and "
+            f"{MOST_PARAMETERS} parameters"
         )
-    if len(parameters) > MOST_PARAMETERS:
-        raise BuildError(
-            f"{block.name} has {len(parameters)} parameters; a DLL has at most {MOST_PARAMETERS}"
-        )
-    for group in groups:
+    for group in ports.values():
         names = [port_name(p.shown) for p in group]
         if len(set(names)) != len(names) or not all(re.fullmatch(r"[A-Za-z_]\w*", n) for n in names):
             raise BuildError(
@@ -243,21 +238,15 @@ def _check(block: Block | Chain, groups: Sequence[list[_Port]]) -> None:
 
 def entries_of(block: Block | Chain, sample_time_s: float) -> dict[str, npt.ArrayLike | bytes]:
     """Return the record: what Model_GetInfo tells, and the records of the members (c/dll/real_code.c)."""
-    groups = _ports(block)
-    _check(block, groups)
-    chain = _as_chain(block)
-    tables = [b.table for b in chain.members.values()]
-    ports = [
-        (p.variable.type != "Real", tables[p.member].value_reference(p.variable.name),
-         p.variable.role == "parameter" and not p.variable.tunable, p.member)
-        for group in groups for p in group
-    ]  # fmt: skip
+    chain, ports = _as_chain(block), _ports(block)
+    _check(block, ports)
+    counts, rows = [*map(len, ports.values()), len(chain.members)], [*ports["output"], *ports["parameter"]]
     entries: dict[str, npt.ArrayLike | bytes] = {
-        "dll.counts": np.array([*map(len, groups), len(tables)], dtype=np.int32),
-        "dll.ports": np.array(ports, dtype=np.int32),
-        "dll.wires": np.array(_wires(chain), dtype=np.int32),
-        "dll.range": np.array([sample_time_s, *(x for p in groups[2] for x in _range(p.variable))]),
-        "dll.text": b"".join(text.encode() + b"\0" for text in _texts(block, groups)),
+        "dll.counts": np.array(counts, dtype=np.int32),
+        "dll.ports": np.array([port.row for port in rows], dtype=np.int32),
+        "dll.feeds": np.array(_feeds(chain, ports["input"]), dtype=np.int32),
+        "dll.range": np.array([sample_time_s, *(x for p in ports["parameter"] for x in _range(p.variable))]),
+        "dll.text": b"".join(text.encode() + b"\0" for text in _texts(block, ports)),
     }
     for k, b in enumerate(chain.members.values()):
         own: dict[str, npt.ArrayLike | bytes] = {}
@@ -270,28 +259,20 @@ def entries_of(block: Block | Chain, sample_time_s: float) -> dict[str, npt.Arra
 
 def _range(v: Variable) -> tuple[float, float, float]:
     """Default, least and greatest value."""
-    start = float(v.start or 0)
-    if v.type == "Boolean":
-        return start, 0.0, 1.0
-    low, high = (v.min, v.max) if v.type == "Real" else integer_range(v)
-    return start, float(-UNBOUNDED if low is None else low), float(UNBOUNDED if high is None else high)
+    low, high = (v.min, v.max) if v.type == "Real" else (0, 1) if v.type == "Boolean" else integer_range(v)
+    limits = (-UNBOUNDED if low is None else low, UNBOUNDED if high is None else high)
+    return float(v.start or 0), float(limits[0]), float(limits[1])
 
 
-def _texts(block: Block | Chain, groups: Sequence[list[_Port]]) -> Iterator[str]:
+def _texts(block: Block | Chain, ports: Mapping[Role, Sequence[_Port]]) -> Iterator[str]:
     """Texts in the order in which c/dll/real_code.c reads them."""
     general = {"generated by": f"interarea {product_version()}", **block.provenance}
     yield from (block.name, product_version(), block.description)
     yield "; ".join(f"{key}: {value}" for key, value in general.items())
-    yield from ("", "interarea", "", "interarea", "", "")
-    for p in (*groups[0], *groups[1]):
-        yield from (port_name(p.shown), _meaning(p.variable), p.variable.unit)
-    for p in groups[2]:
-        group = p.shown.split("[")[0].split(".")[0] if re.search(r"[\[.]", p.shown) else "general"
-        yield from (port_name(p.shown), group, _meaning(p.variable), p.variable.unit)
-
-
-def _meaning(v: Variable) -> str:
-    """Description of a variable, with what the numbers of an enumeration stand for."""
-    if v.enumeration is None:
-        return v.description
-    return f"{v.description}: " + ", ".join(f"{value} {item}" for item, value, _ in v.enumeration.items)
+    for role, of_role in ports.items():
+        for shown, v, _ in of_role:
+            items = () if v.enumeration is None else v.enumeration.items
+            numbers = ": " + ", ".join(f"{value} {item}" for item, value, _ in items) if items else ""
+            yield from (port_name(shown), v.description + numbers, v.unit)
+            if role == "parameter":
+                yield re.split(r"[\[.]", shown)[0] if re.search(r"[\[.]", shown) else "general"

@@ -238,7 +238,7 @@ def test_build_writes_the_controller_as_a_dll(interarea, tmp_path: Path) -> None
     assert {line.split("/")[-1] for line in out.splitlines()} >= {
         *("robust.so", "channel.so", "pmu.so", "robust.fmu")
     }
-    assert RealCodeLibrary(tmp_path / "linux64" / "robust.so").info.sample_time_s == 0.002
+    assert RealCodeLibrary(tmp_path / "linux64" / "robust.so").info.sample_time == 0.002
     code, out, err = interarea("container", "lost-signal", "--dll", "linux64", "--out", tmp_path / "chain.so")
     assert code == 0 and (tmp_path / "chain.so").is_file(), err
     code, _, err = interarea("container", "lost-signal", "--dll", "vax", "--out", tmp_path / "chain.so")

@@ -314,9 +314,9 @@ def test_a_chain_is_the_loop_without_its_plant(cache: Path, by_hand: Controller,
     pmu, remote, controller = chain.members
     wired = [(f"{pmu}.deviation", f"{remote}.u"), (f"{remote}.y", f"{controller}.G2_dw")]
     assert list(chain.connections) == wired
-    info = RealCodeLibrary(build_dll(chain, tmp_path, platform="linux64", cache=cache)).info
+    dll = RealCodeLibrary(build_dll(chain, tmp_path, platform="linux64", cache=cache))
     shown = port_name(pmu)
-    assert {p.name for p in info.inputs} == {f"{shown}_re", f"{shown}_im", "G4_dw"}
-    assert {p.name: p.start for p in info.parameters}[f"{remote}_latency"] == 0.07
+    assert {p.name for p in dll.inputs} == {f"{shown}_re", f"{shown}_im", "G4_dw"}
+    assert {p.name: p.start for p in dll.parameters}[f"{remote}_latency"] == 0.07
     with pytest.raises(ScenarioError, match="channels and a controller, here are none"):
         chain_of(load_scenario({**table, "controller": "none", "channels": {}}), cache=cache)

@@ -86,7 +86,7 @@ def signal(name: str, t: float) -> float:
 
 def start(model: RealCode, t: float = 0.0, signals: bool = True) -> RealCode:
     """Call what a tool calls before the first step."""
-    for port in model.library.info.inputs if signals else ():
+    for port in model.library.inputs if signals else ():
         model.inputs[port.name] = signal(port.name, t)
     assert model.call("Model_FirstCall", t) == OK
     assert model.call("Model_CheckParameters") == OK, model.text()
@@ -96,10 +96,10 @@ def start(model: RealCode, t: float = 0.0, signals: bool = True) -> RealCode:
 
 def step(model: RealCode, t: float) -> list[float]:
     """Call the model at a time; return its outputs."""
-    for port in model.library.info.inputs:
+    for port in model.library.inputs:
         model.inputs[port.name] = signal(port.name, t)
     assert model.call("Model_Outputs", t) == OK, model.text()
-    return [model.outputs[port.name] for port in model.library.info.outputs]
+    return [model.outputs[port.name] for port in model.library.outputs]
 
 
 PARAMETERS = {
@@ -204,17 +204,18 @@ def test_the_fmu_and_the_dll_give_the_same_bits(
 
 
 def test_the_description_is_that_of_the_block(robust: Block, library) -> None:  # type: ignore[no-untyped-def]
-    info = library("controller").info
-    assert info.version[:2] == (1, 1) and info.sample_time_s == STEP and info.texts["name"] == robust.name
-    assert [p.name for p in info.inputs] == [v.name for v in robust.table.of_role("input")]
-    limit = next(p for p in info.parameters if p.name == "limit")
+    described = library("controller")
+    assert described.info.version[:2] == [1, 1] and described.info.sample_time == STEP
+    assert described.info.name.decode() == robust.name
+    assert [p.name for p in described.inputs] == [v.name for v in robust.table.of_role("input")]
+    limit = next(p for p in described.parameters if p.name == "limit")
     assert (limit.start, limit.low, limit.fixed, limit.unit) == (
         robust.table["limit"].start,
         0.0,
         False,
         "pu",
     )
-    assert not any(p.name.startswith("A_") for p in info.parameters)
+    assert not any(p.name.startswith("A_") for p in described.parameters)
 
 
 def test_a_call_at_the_same_time_changes_nothing(library) -> None:  # type: ignore[no-untyped-def]
