@@ -33,6 +33,7 @@ _LOCK = ".lock"
 _PARTIAL = ".partial"
 _LAST = -100  #: at a process's end: after its own children, and what holds files open
 _YOUNG_S = 60.0
+_AGAIN_S = 0.05  #: between two looks at a lock, short beside what is made behind it
 
 
 def read_text(path: Path) -> str:
@@ -319,6 +320,28 @@ def locked(path: Path, *, make: bool = False) -> IO[bytes] | None:
             file.close()
             return None
     return file
+
+
+@contextlib.contextmanager
+def one_at_a_time(path: Path) -> Iterator[None]:
+    """Wait until no other process is in here with the same `path`; it is a file only while one is.
+
+    Nobody waits on a file system without locks, on Windows, or in a folder that cannot be written.
+    """
+    if fcntl is None:
+        yield
+        return
+    try:
+        while (file := locked(path, make=True)) is None:
+            time.sleep(_AGAIN_S)
+    except OSError:
+        yield
+        return
+    with file:
+        try:
+            yield
+        finally:
+            path.unlink(missing_ok=True)
 
 
 def _remove_if_left(folder: Path) -> bool:

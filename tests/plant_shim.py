@@ -13,7 +13,6 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from locked import one_at_a_time
 
 import interarea.models.blocks.binary_table
 from interarea.fmu_build.write.cache import artefact, content_hash, default_cache
@@ -21,6 +20,7 @@ from interarea.fmu_build.write.compile import compile_library, host_platform
 from interarea.fmu_build.write.sources import gather_sources, record_source
 from interarea.models.blocks.binary_table import pack_record
 from interarea.models.blocks.variables import Block
+from interarea.models.files import one_at_a_time
 from interarea.models.processes import run_guarded, side_by_side
 
 C = Path(interarea.models.blocks.binary_table.__file__).parents[1] / "c"

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from interarea.models.files import temporary_folder
+from interarea.models.files import one_at_a_time, temporary_folder
 from interarea.models.processes import run_guarded, side_by_side
 
 from ..errors import BuildError, NoCompilerError
@@ -235,7 +235,9 @@ def _object(
     made_of = (name, [sources[part] for part in parts], command, version)
     digest = hashlib.sha256(repr(made_of).encode()).hexdigest()[:24]
     stem = name.removesuffix(".c")
-    object_file = artefact(cache, "objects", f"{stem}-{to.name}-{digest}", ".o", make)
+    key = f"{stem}-{to.name}-{digest}"
+    with one_at_a_time(cache / f"{key}.lock"):  # a plant takes a compiler 25 s: another process may be at it
+        object_file = artefact(cache, "objects", key, ".o", make)
     return f"{stem}.o", object_file.read_bytes()
 
 

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from locked import one_at_a_time
 
 from interarea.cosim.explorer.page import write_explorer
 
@@ -20,10 +19,7 @@ DRIVER = Path(__file__).parent / "drive.js"
 @pytest.fixture(scope="session")
 def page(cache: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the page of the thesis' grid."""
-    with one_at_a_time(cache / "page.lock"):  # its module takes a compiler 20 s
-        return write_explorer(
-            "two-area-thesis", tmp_path_factory.mktemp("explorer") / "page.html", cache=cache
-        )
+    return write_explorer("two-area-thesis", tmp_path_factory.mktemp("explorer") / "page.html", cache=cache)
 
 
 Node = Callable[[list[dict[str, Any]]], list[Any]]

@@ -17,6 +17,7 @@ import pytest
 from interarea.models import files
 from interarea.models.files import (
     new_folder,
+    one_at_a_time,
     remove_left,
     sweep,
     temporary_folder,
@@ -155,6 +156,47 @@ def test_a_disk_without_locks_is_written_to_and_nothing_there_is_taken_for_left(
     path = write_whole(tmp_path / "b.txt", "new")
     assert sorted(tmp_path.iterdir()) == [other, path] and path.read_text() == "new"
     assert new_folder(tmp_path).is_dir()
+
+
+INSIDE = """
+import sys, time
+from pathlib import Path
+from interarea.models.files import one_at_a_time
+for _ in range(20):
+    with one_at_a_time(Path(sys.argv[1])):
+        for what in ("in", "out"):
+            with open(sys.argv[2], "a") as log:
+                log.write(f"{what}\\n")
+            time.sleep(0.002)
+"""
+
+
+def test_of_three_processes_one_at_a_time_is_inside_and_nothing_is_left(tmp_path: Path) -> None:
+    pytest.importorskip("fcntl")
+    lock, log = tmp_path / "x.lock", tmp_path / "log"
+    words = [sys.executable, "-c", INSIDE, str(lock), str(log)]
+    assert [p.wait() for p in [subprocess.Popen(words) for _ in range(3)]] == [0, 0, 0]
+    assert log.read_text().split() == ["in", "out"] * 60
+    assert list(tmp_path.iterdir()) == [log]
+
+
+def test_who_is_killed_inside_keeps_nobody_out(tmp_path: Path) -> None:
+    pytest.importorskip("fcntl")
+    lock, log = tmp_path / "x.lock", tmp_path / "log"
+    code = INSIDE.replace("0.002", "60.0")
+    killed = subprocess.Popen([sys.executable, "-c", code, str(lock), str(log)])
+    while not log.exists():
+        time.sleep(0.01)
+    killed.kill()
+    killed.wait()
+    with one_at_a_time(lock):
+        assert lock.exists()
+    assert not lock.exists()
+
+
+def test_where_nothing_can_be_locked_nobody_waits(tmp_path: Path) -> None:
+    with one_at_a_time(tmp_path / "no" / "such folder"):
+        assert list(tmp_path.iterdir()) == []
 
 
 def test_what_is_no_file_is_written_to() -> None:

@@ -87,6 +87,7 @@ def test_it_ends_where_less_is_asked_for_and_begins_anew() -> None:
     assert seen[6] < -0.035
 
 
+@pytest.mark.slow
 def test_below_its_first_point_it_never_acts() -> None:
     assert np.abs(output(lambda t: 1.09, np.linspace(1.0, 200.0, 5))).max() == 0.0
 

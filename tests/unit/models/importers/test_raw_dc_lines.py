@@ -39,9 +39,14 @@ AT_RECTIFIER = (-200.0 + math.sqrt(200.0**2 + 4.0 * 10.0 * 50.0)) / 20.0  # kA: 
     ("version", "values", "current"),
     [
         (23, {}, AT_RECTIFIER),
-        (35, {"setting": -50.0}, 0.25),  # at the inverter
-        (33, {"mode": 2, "setting": 240.0, "comp": 5.0}, 0.24),  # amperes; the inverter holds 200 - 5 I kV
-        (36, {"rc": 0.1}, AT_RECTIFIER),
+        *(
+            pytest.param(*row, marks=pytest.mark.slow)
+            for row in (
+                (35, {"setting": -50.0}, 0.25),  # at the inverter
+                (33, {"mode": 2, "setting": 240.0, "comp": 5.0}, 0.24),  # amperes; the inverter: 200 - 5 I kV
+                (36, {"rc": 0.1}, AT_RECTIFIER),
+            )
+        ),
     ],
 )
 def test_a_dc_line_becomes_a_link_with_its_powers_at_both_ends(tmp_path, version, values, current):
