@@ -170,8 +170,9 @@ def _check_differences(plant: Plant, x0: Matrix, u0: Matrix, exact: Matrix, step
 def remove_reference(system: Linear, *, tolerance: float = 1e-7) -> Linear:
     r"""Take out the zero mode of the reference angle, once, by going over to relative angles.
 
-    With r = 1 on every rotor angle (states ``*.delta``) and 0 elsewhere, a plant without an infinite bus has
-    :math:`A r = 0`: only angle differences act. If the outputs do not see r either
+    With r = 1 on every angle (rotors: states ``*.delta``, phase-locked loops: ``*.theta``) and 0 elsewhere, a
+    plant without an infinite bus has :math:`A r = 0`: only angle differences act. If the outputs do not
+    see r either
     (:math:`C r = 0`), the states z = x_i - r_i x_ref with the reference angle left out satisfy
 
     .. math:: \dot z = P A E z + P B u, \qquad y = C E z + D u
@@ -196,7 +197,7 @@ def remove_reference(system: Linear, *, tolerance: float = 1e-7) -> Linear:
         bus, relative angles, or called twice).
     """
     names = list(system.state_labels)
-    angles = [i for i, name in enumerate(names) if name.endswith(".delta")]
+    angles = [i for i, name in enumerate(names) if name.endswith((".delta", ".theta"))]
     if not angles:
         raise LinearisationError(
             "no rotor angle to refer to: none of the states is named '*.delta'; "

@@ -161,7 +161,7 @@ def _together(plant: SparsePlant, loop: Loop | None) -> tuple[bool, bool]:
     """Whether all angles together move nothing, and whether nothing brings a common speed back."""
     angles, speeds = np.zeros(plant.nstates), np.zeros(plant.nstates if loop is None else loop.nstates)
     speeds[plant.speed] = 1.0
-    angles[[name.endswith(".delta") for name in plant.states]] = 1.0  # of voltage sources too
+    angles[[name.endswith((".delta", ".theta")) for name in plant.states]] = 1.0  # of voltage sources too
     if not float(np.max(np.abs(plant.times(angles)))) <= ZERO_EIGENVALUE:
         return False, False
     # a push on all speeds: what is left of it after 1/s rises as 1/s only if nothing brings it back

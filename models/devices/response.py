@@ -20,8 +20,18 @@ Array = npt.NDArray[np.float64]
 #: a machine at 0.82 pu of power and 1 pu of voltage; its phasors fit each other
 POINT = {"vt": 1.0, "vd": 0.6, "vq": 0.8, "id": 0.7, "iq": 0.5, "pe": 0.82, "slip": 0.0, "ifd": 1.9}
 POINT |= {"vc": 1.0, "vs": 0.0, "pm": 0.82, "efd": 1.8, "p_mod": 0.0, "q_mod": 0.0, "p": 0.4, "q": 0.1}
-POINT |= {"b": 0.1, "i": 0.1, "ip": 0.4, "vdr": 1.04, "vdi": 1.0, "idc": 1.0, "delta": 0.3}
-POINT |= {"vr": 0.8, "vi": 0.6, "v1": 1.0, "p1": -0.5, "v2": 1.0, "p2": 0.5, "ip1": -0.5}
+POINT |= {"b": 0.1, "i": 0.1, "ip": 0.4, "vdr": 1.04, "vdi": 1.0, "idc": 1.0, "delta": 0.7}
+POINT |= {
+    "vr": 0.8,
+    "vi": 0.6,
+    "ir": 0.38,
+    "ii": 0.16,
+    "v1": 1.0,
+    "p1": -0.5,
+    "v2": 1.0,
+    "p2": 0.5,
+    "ip1": -0.5,
+}
 #: kind -> what is stepped and by how much
 STEPS = {
     "exciter": ("vref", 0.01),
@@ -33,7 +43,7 @@ STEPS = {
     "statcom": ("vref", 0.01),
     "converter": ("pref", 0.01),
     "hvdc": ("pset", 0.01),
-    "source": ("p", 0.01),
+    "source": ("p", 1e-3),
     "vsc": ("p_mod", 0.01),
 }
 #: powers that are those of a device's own currents, of which voltage and current
@@ -92,7 +102,7 @@ def response_of(
     if device.kind == "hvdc":  # it rests at its current, at any angles
         inputs |= {"iord": seen["idc"], "xr": 0.3, "xi": 0.3}
     if device.kind == "source":
-        inputs["e"] = 1.05
+        inputs |= {"e": 1.05, "theta": float(np.angle(complex(seen["vr"], seen["vi"])))}
     if device.kind == "vsc":
         inputs |= {"iq1": 0.1, "ip2": seen["p2"] / seen["v2"], "iq2": 0.1}
         seen["ip1"] = seen["p1"] / seen["v1"]

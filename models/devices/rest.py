@@ -115,7 +115,9 @@ class _Walk:
                 self.steps.append(self.story(k, name))
             used = {k for k, _ in plan}
             self.unknown -= {name for _, name in plan}
-            self.equations = [e for k, e in enumerate(self.equations) if k not in used]
+            left = [k for k in range(len(self.equations)) if k not in used]
+            # one without an unknown, as theta of a source is given, is checked at the end
+            self.equations = [self.equations[k] for k in left if not self.names(k) <= set(self.known)]
             if not self.unknown:
                 return
             self.tear()

@@ -43,9 +43,12 @@ class BusPoint:
     angle: float = 0.0  #: of its bus, rad
 
     def source(self, share: float, impedance: complex) -> complex:
-        """Return the voltage behind the `impedance` of a source, pu of its base."""
-        current = complex(self.p, -self.q) / self.own / share
-        return cmath.rect(1.0, self.angle) * (self.own + impedance * current)
+        """Return the voltage behind a source's `impedance` against the angle of its bus, pu of its base."""
+        return self.own + impedance * self.current(share)
+
+    def current(self, share: float) -> complex:
+        """Return the current into the network against the angle of the bus, pu of its base."""
+        return complex(self.p, -self.q) / self.own / share
 
     def output(self, kind: str, share: float, impedance: complex = 0.0) -> float:
         """Return what the device gives, pu of its base, of a source its angle, rad.
@@ -53,7 +56,7 @@ class BusPoint:
         share : its base over that of the case. impedance : of a source, pu of its base.
         """
         if kind == "source":
-            return cmath.phase(self.source(share, impedance))
+            return self.angle + cmath.phase(self.source(share, impedance))
         power = self.p if kind == "converter" else self.q
         return power / self.own ** (2 if COUPLINGS[kind] == SUSCEPTANCE else 1) / share
 
@@ -66,7 +69,10 @@ class BusPoint:
             direction = cmath.rect(min(1.0, self.own / LOW_PU), self.angle)
             own = {"iq": q / self.own, "vr": direction.real, "vi": direction.imag}
         else:
-            own = {"e": abs(self.source(share, impedance))}
+            turn = cmath.rect(1.0, self.angle)
+            v, i = self.own * turn, self.current(share) * turn
+            own = {"e": abs(self.source(share, impedance)), "theta": self.angle}
+            own |= {"vr": v.real, "vi": v.imag, "ir": i.real, "ii": i.imag}
         return {"vt": self.seen, "p": p, "q": q, "p_mod": 0.0, "q_mod": 0.0, **own}
 
 
@@ -80,7 +86,7 @@ class Coupling:
     second: str = ""  #: state of the reactive current of a converter
     gain: tuple[float, float] = (-2.0, -1.0)  #: voltages between which its active current rises from 0
     taken: tuple[float, float, float] = (1e3, 0.0, -1e3)  #: voltage above which, how much, not below
-    direction: bool = False  #: whether a converter sees the direction of its voltage
+    direction: bool = False  #: whether a converter sees the direction of its voltage, a source components
     shunt: float = 0.0  #: of a converter behind an impedance: its active current less by the voltage
     values: Mapping[str, float] = field(default_factory=dict)  #: of a dc link or source: those of its device
 
@@ -175,11 +181,12 @@ def coupling_of(instance: Instance) -> Coupling:
             )
     if device.kind in OF_LINK:
         return Coupling(state, 1.0, 0.0, values=instance.values)
+    seen = frozenset[str]().union(*instance.depends_on()[0].values())
+    sees = bool({"vr", "vi", "ir", "ii"} & seen)
     if device.kind == "source":
-        return Coupling(state, 1.0, 0.0, states[1], values=instance.values)
+        return Coupling(state, 1.0, 0.0, states[1], direction=sees, values=instance.values)
     if len(states) > 1:
-        seen = frozenset[str]().union(*instance.depends_on()[0].values())
-        sees, shunt = bool({"vr", "vi"} & seen), behind_impedance(instance.values).real
+        shunt = behind_impedance(instance.values).real
         return Coupling(state, 1.0, 0.0, states[1], *_port_numbers(instance), sees, shunt)
     if state == device.output:
         return Coupling(state, 1.0, 0.0)
@@ -245,7 +252,7 @@ def device_ports(
         if kind == "source":
             y = share / complex(c.values["Re"], c.values["Xe"])
             rows[-1] += [state_names.index(f"{svc.name}.{c.second}"), 0.0]
-            rows[-1] += [y.real, y.imag, share * c.values["Imax"]]
+            rows[-1] += [y.real, y.imag, share * c.values["Imax"], 0.0, 0.0, float(c.direction)]
         elif c.second:
             level, slope, least = c.taken
             rows[-1] += [state_names.index(f"{svc.name}.{c.second}"), share * at_rest[c.second]]

@@ -6,7 +6,7 @@ GENROU, GENROE  -> round_rotor; X''q = X''d, Ra from the RAW file; saturation of
 GENSAL, GENSAE  -> round_rotor without Tq01: one winding on the q axis;
                    saturation of E'q on the d axis, GENSAE: of the subtransient flux on both axes.
 GENCLS          -> classical behind ZR + jZX of the RAW file; with H = 0 an infinite bus there.
-REGFMA1, GDFORM -> a converter's voltage behind ZR + jZX of the RAW file.
+REGFMA1, REGFMB1, GDFORM -> a converter's voltage behind ZR + jZX of the RAW file.
 controls        -> devices of the package, by their `[dyr]` tables (models/devices).
 """
 
@@ -31,7 +31,7 @@ from .report import Report
 MACHINE = "machine model"
 ROUNDED = 5e-4  #: pu by which X''d may stand above X'd in a file: both have so few digits
 #: machine models that are converters
-_CONVERTERS = "REGCA1 REGCB1 REGCC1 DERA1 GDFORM REGFMA1 WT1G1 WT2G1 WT3G1 WT3G2 WT4G1 WT4G2 PVGU1"
+_CONVERTERS = "REGCA1 REGCB1 REGCC1 DERA1 GDFORM REGFMA1 REGFMB1 WT1G1 WT2G1 WT3G1 WT3G2 WT4G1 WT4G2 PVGU1"
 CONVERTERS = frozenset(_CONVERTERS.split())
 
 CONVERTER = "converter"  #: kind of the devices of these

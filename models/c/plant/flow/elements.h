@@ -32,8 +32,9 @@ typedef struct {
     cell *vc, *vs, *pm, *efd, *vl, *b, *i, *ip, *idc, *delta, *ip1; /* what devices give         */
     const cell *p, *q, *p_mod, *q_mod; /* of a converter: in the arrays of pe, ifd, vs, vc    */
     const cell *vdr, *vdi; /* of a dc link: in the arrays of vt, pe                           */
-    const cell *vr, *vi;   /* of a converter: in the arrays of vd, vq                         */
+    const cell *vr, *vi;   /* of a converter and a source: in the arrays of vd, vq            */
     const cell *v1, *p1, *v2, *p2; /* of a link of converters: in the arrays of vt, pe, vd, vq */
+    const cell *ir, *ii;   /* of a source: in the arrays of id, iq                            */
 } DeviceSignals;
 
 /* Limiters, gates and other slope discontinuities decide by comparing signals: decision i of a device is bit i of

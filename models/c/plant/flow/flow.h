@@ -176,42 +176,7 @@ static size_t solve_sparse(real *memory, const Plan *plan, const Pattern *patter
     return 0;
 }
 
-/* Direction of the voltage v at a port in the synchronous frame: real and imaginary part of a unit, less at low voltage. */
-static void see_direction(const real *memory, const Plan *plan, size_t p, size_t at, num v, Work *w)
-{
-    const real *row = memory + plan->port + P_ROWS * p;
-    const num low = NUM(row[P_LOW]), size = num_pick(num_above(v, low), v, low);
-    const num turn = plan->folded > 0 ? value_at(w->turn, memory[plan->bus_part + index_at(row, P_BUS)]) : NUM(0.0);
-    num sine, cosine;
-
-    num_sincos(turn, &sine, &cosine);
-    w->vd[at] = num_ratio(w->port.v_re[p] * cosine - w->port.v_im[p] * sine, size);
-    w->vq[at] = num_ratio(w->port.v_re[p] * sine + w->port.v_im[p] * cosine, size);
-}
-
-/* Voltages that devices at buses see, the powers of converters and dc voltages of links, on their base. */
-static void see_voltages(const real *memory, const Plan *plan, const num *x, Work *w)
-{
-    for (size_t p = 0; p < plan->n_port; ++p) {
-        const real *row = memory + plan->port + P_ROWS * p;
-        if (!port_is_device(row) || index_at(row, P_SEES) == 0) continue;
-        const size_t at = plan->n_machine + index_at(row, P_SEES) - 1, coupling = index_at(row, P_COUPLING);
-        const num v = num_sqrt(w->port.v_re[p] * w->port.v_re[p] + w->port.v_im[p] * w->port.v_im[p]);
-        if (coupling == COUPLING_RECTIFIER || coupling == COUPLING_INVERTER) {
-            *(coupling == COUPLING_RECTIFIER ? &w->vt[at] : &w->pe[at]) = dc_link_voltage(row, x, v);
-            continue;
-        }
-        const int far = coupling == COUPLING_CONVERTER && index_at(row, P_FAR) == 1;
-        *(far ? &w->vd[at] : &w->vt[at]) = v;
-        if (coupling != COUPLING_CONVERTER && coupling != COUPLING_SOURCE) continue;
-        num active, reactive;
-        bus_device_power(row, x, w->sine[at], w->cosine[at], w->port.v_re[p], w->port.v_im[p], &active, &reactive);
-        *(far ? &w->vq[at] : &w->pe[at]) = num_ratio(active, NUM(row[P_SCALE]));
-        if (far) continue;
-        w->ifd[at] = num_ratio(reactive, NUM(row[P_SCALE]));
-        if (coupling == COUPLING_CONVERTER && index_at(row, P_DIRECTION) == 1) see_direction(memory, plan, p, at, v, w);
-    }
-}
+#include "seen.h"
 
 /* Terminals of the machines from their currents, and what other devices see. */
 static void solve_terminals(const real *memory, const Plan *plan, const Machines *machines, const num *x, Work *w)
@@ -323,7 +288,7 @@ static void solve_devices(const real *memory, const Plan *plan, const num *x, co
     const DeviceSignals signals = { w->vt, w->vd, w->vq, w->id, w->iq, w->pe, machines.x.slip, w->ifd,
                                     memory + plan->pm_step, w->vc, w->vs, w->pm, w->efd, w->out, w->out, w->out, w->out,
                                     w->out, w->out, w->out, w->pe, w->ifd, w->vs, w->vc, w->vt, w->pe, w->vd, w->vq,
-                                    w->vt, w->pe, w->vd, w->vq };
+                                    w->vt, w->pe, w->vd, w->vq, w->id, w->iq };
 
     for (size_t k = 0; k < n; ++k) {
         w->efd[k] = NUM(table[M_EFD0 * n + k]);

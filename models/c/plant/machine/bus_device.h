@@ -11,7 +11,7 @@
  *                             of REGC_B, E/(R + jX) by both states and V taken off by P_SHUNT and P_TAKEN;
  *                             of a dc link with such converters both ends, the second with P_FAR
  *     rectifier, inverter     the ends of a dc link (dc_link.h)
- *     source (REGFM_A1)       I = (E - V)/(R + jX), E by two states, its angle and its size; beyond P_MOST that much
+ *     source (REGFM_A1, B1)   I = (E - V)/(R + jX), E by two states, its angle and its size; beyond P_MOST that much
  *                             of it, as if E moved to V + (R + jX) I
  *     none                    0: the voltage there is measured only
  *

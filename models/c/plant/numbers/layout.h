@@ -71,7 +71,7 @@ enum {  /* the same rows at the port of a device at a bus (bus_device.h) */
     P_HIGH,             /* voltage above which reactive current is taken off */
     P_TAKEN,            /* and how much by voltage, system base         */
     P_LEAST,            /* but not below this, system base              */
-    P_DIRECTION,        /* 1 where its device sees the direction of the voltage */
+    P_DIRECTION,        /* 1 where its device sees the direction of the voltage, of a source voltage and current by components */
     P_FAR,              /* 1 at the second end of a dc link with such converters */
     P_SHUNT             /* by how much the voltage takes active current off, system base: of a voltage behind an impedance */
 };

@@ -22,7 +22,18 @@ PLANT = Path(__import__("interarea.models").models.__file__).parent / "c" / "pla
 #: one operating point of a machine; the phasors fit vt, and pe = vd id + vq iq
 SEEN = {"vt": 1.0, "vd": 0.6, "vq": 0.8, "id": 0.7, "iq": 0.5, "pe": 0.82, "slip": 0.0, "ifd": 1.9}
 SEEN |= {"vc": 1.0, "vs": 0.0, "pm": 0.82, "p": 0.4, "q": 0.1, "p_mod": 0.0, "q_mod": 0.0}
-SEEN |= {"vdr": 1.04, "vdi": 1.0, "vr": 0.8, "vi": 0.6, "v1": 1.0, "p1": -0.5, "v2": 1.0, "p2": 0.5}
+SEEN |= {
+    "vdr": 1.04,
+    "vdi": 1.0,
+    "vr": 0.8,
+    "vi": 0.6,
+    "ir": 0.38,
+    "ii": 0.16,
+    "v1": 1.0,
+    "p1": -0.5,
+    "v2": 1.0,
+    "p2": 0.5,
+}
 OUTPUT = {
     "exciter": 1.8,
     "governor": 0.82,
@@ -30,7 +41,7 @@ OUTPUT = {
     "statcom": 0.1,
     "converter": 0.4,
     "hvdc": 1.0,
-    "source": 0.3,
+    "source": 0.7,
     "vsc": -0.5,
 }
 
@@ -47,6 +58,8 @@ RECORDS = {
     "REPCA1": "0 0 0 0 0 0 1 0.02 18 5 0 0.05 0.7 0 0 0.02 0.1 -0.1 -0.01 0.01 0.43 -0.43 1 0.05 0.25 "
     "-0.0006 0.0006 9 -9 1 0 0.1 20 5",
     "REGFMA1": "1 1 0.01 0.01 0.01 2 1.15 0 0.9 0 0.44 -0.44 0.01 0.05 0.01 0.1 3 20 0 5.86",
+    "REGFMB1": "0 0 1 1 1 1 0.05 0.1 5 0.02 0.05 -0.05 0.265 2.65 0.2 -0.2 "
+    "0.02 0.5 1 100 50 1 0.9 2 1.5 0.02 0.02 0.01 0.01 1 0.05",
     "GDFORM": "0.05 0 5.86 0.01 0.01 0.1 1 0 1.2 0 0.01 2 1 -1 3 20 0.01 0.01 1",
     "DERA1": "1 1 0 1 1 1 0.02 0.05 -0.05 0.05 2 0 0.02 0.02 20 5 -0.0006 0.0006 0.1 -0.1 1.1 0 0.5 -0.5 "
     "0.02 0.1 10 1.2 0.44 0.49 1.2 1.15 0.16 0.2 0.16 0.3 0.7 59.3 60.5 0.16 0.2 0.02 2 0.02 0.8 1 -1",
@@ -160,7 +173,7 @@ def at_rest(name):
     behind = 1.0 / model_xe(model) if given.get("REGCB") == 1.0 else 0.0  # its states are E/(jXe)
     inputs |= {"iq": SEEN["q"] + behind} if kind == "converter" else {}
     inputs |= {"iord": 1.0, "xr": 0.3, "xi": 0.3} if kind == "hvdc" else {}
-    inputs |= {"e": 1.05} if kind == "source" else {}
+    inputs |= {"e": 1.05, "theta": np.arctan2(0.6, 0.8)} if kind == "source" else {}
     inputs |= {"iq1": 0.1, "ip2": 0.5, "iq2": 0.1} if kind == "vsc" else {}
     output = OUTPUT.get(kind) if model.device.references else None
     return rest_of(model, complete(model, given), inputs, output, name), inputs
@@ -261,7 +274,7 @@ double hold(size_t device, size_t n, uint64_t has, double *table, const double *
 MEMBERS = (
     *("vt", "vd", "vq", "id", "iq", "pe", "slip", "ifd", "pref_step", "vc", "vs", "pm", "efd", "vl"),
     *("b", "i", "ip", "idc", "delta", "ip1", "p", "q", "p_mod", "q_mod", "vdr", "vdi"),
-    *("vr", "vi", "v1", "p1", "v2", "p2"),
+    *("vr", "vi", "v1", "p1", "v2", "p2", "ir", "ii"),
 )
 
 

@@ -291,7 +291,7 @@ def test_a_raw_file_cut_short_is_named(write: Write) -> None:
 
 
 DYR_REFUSED = [
-    ("// made by a test", "7 'REGFMB1' 1 0.1 /", r"grid\.dyr:1: model 'REGFMB1' at bus 7 is not supported"),
+    ("// made by a test", "7 'REGFMC1' 1 0.1 /", r"grid\.dyr:1: model 'REGFMC1' at bus 7 is not supported"),
     ("'EXST1'", "'AC4A'", r"grid\.dyr:4: model 'AC4A' at bus 1 is not supported; did you mean EXAC4"),
     (" 0.0 0.0 /", " 0.0 /", r"grid\.dyr:2: GENROU has 13 parameters, allowed: 14 \(cut off\?\)"),
     (" 0.0 0.0 /", " 0.0 0.0 7.0 /", r"grid\.dyr:2: GENROU has 15 parameters, allowed: 14 \(is the /"),
