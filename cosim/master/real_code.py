@@ -110,11 +110,8 @@ class ServedRealCode:
         self._model.call("Model_Terminate")
 
     def _call(self, name: str) -> None:
-        code = self._model.call(name, self.time_s)
-        message = self._model.text()
-        if code == MESSAGE and message:
-            print(message, file=sys.stderr, flush=True)
+        code, at, text = self._model.call(name, self.time_s), self.time_s, self._model.text()
+        if code == MESSAGE and text:
+            print(text, file=sys.stderr, flush=True)
         if code >= ERROR:
-            raise StepError(
-                f"return code {code}", instance=self.name, call=name, time_s=self.time_s, last_log=message
-            )
+            raise StepError(f"return code {code}", instance=self.name, call=name, time_s=at, last_log=text)

@@ -24,6 +24,7 @@ from .runs import Tell
 INTERFACE = "DLL"
 _STEPS = 40
 _GUARD = b"\xa5" * 64  #: beside each array of states
+_Topic = Callable[[RealCodeLibrary, Tell], None]
 _Swing = tuple[float, float]  #: mean and amplitude of the inputs
 _NEAR_ONE: _Swing = (1.0, 0.1)
 _SWINGS: tuple[_Swing, ...] = (_NEAR_ONE, (0.0, 1e-3))
@@ -152,7 +153,8 @@ def finite(library: RealCodeLibrary, tell: Tell) -> None:
 def padding(library: RealCodeLibrary, tell: Tell) -> None:
     """Bytes between the ports of a structure are neither read nor written."""
     for swing in _SWINGS:
-        rows, done = [], ""
+        rows: list[list[bytes]] = []
+        done = ""
         for fill in (0x00, 0x5A, 0x00):
             model = _started(library, swing, fill=fill)
             _pad(model.outputs, fill)
@@ -207,14 +209,10 @@ def _snapshot(library: RealCodeLibrary, swing: _Swing) -> bool:
     return _run(model, rest, swing) == rows
 
 
-def _compared(
-    same: Callable[[RealCodeLibrary, _Swing], bool], *words: str
-) -> Callable[[RealCodeLibrary, Tell], None]:
-    """Return a topic; words : the rule, what is wrong if `same` says no, what to do."""
-
+def _compared(same: Callable[[RealCodeLibrary, _Swing], bool], rule: str, reason: str, advice: str) -> _Topic:
     def topic(library: RealCodeLibrary, tell: Tell) -> None:
         if not all(same(library, swing) for swing in _SWINGS):
-            tell(words[0], INTERFACE, *words[1:])
+            tell(rule, INTERFACE, reason, advice)
 
     return topic
 
@@ -233,23 +231,25 @@ def messages(library: RealCodeLibrary, tell: Tell) -> None:
 
 def _writable(address: int) -> bool:
     """Whether this process may write there; False where that cannot be read."""
-    try:
-        lines = Path("/proc/self/maps").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        return False
-    for line in lines:
-        span, rights = line.split()[:2]
-        low, high = (int(x, 16) for x in span.split("-"))
-        if low <= address < high:
+    maps = Path("/proc/self/maps")  # of Linux
+    for line in maps.read_text(encoding="utf-8").splitlines() if maps.exists() else ():
+        low, high, rights = re.split("[- ]", line)[:3]
+        if int(low, 16) <= address < int(high, 16):
             return "w" in rights
     return False
 
 
+class _Heap(ctypes.Structure):
+    _fields_ = [(f"f{k}", ctypes.c_size_t) for k in range(7)]
+    _fields_ += [("uordblks", ctypes.c_size_t), ("fordblks", ctypes.c_size_t), ("keepcost", ctypes.c_size_t)]
+
+
 def leaks(library: RealCodeLibrary, tell: Tell) -> None:
     """Memory that the DLL takes is given back by Model_Terminate, and none is taken while it steps."""
-    used = _heap()
-    if used is None:
+    mallinfo = getattr(ctypes.CDLL(None), "mallinfo2", None) if sys.platform == "linux" else None
+    if mallinfo is None:  # not glibc: nothing counts the bytes in use
         return
+    mallinfo.restype = _Heap
     model, step_s = RealCode(library), library.info.sample_time
 
     def lives(count: int) -> None:
@@ -264,9 +264,9 @@ def leaks(library: RealCodeLibrary, tell: Tell) -> None:
 
     def growth(what: Callable[[int], None], count: int) -> int:
         _start(model, _NEAR_ONE)
-        before = used()
+        before = mallinfo().uordblks
         what(count)
-        return used() - before
+        return int(mallinfo().uordblks) - int(before)
 
     for name, what in (("an instance started and terminated", lives), ("a call of Model_Outputs", steps)):
         growth(what, 20)
@@ -274,19 +274,6 @@ def leaks(library: RealCodeLibrary, tell: Tell) -> None:
         if lost > 300 * 8:
             reason = f"{name} loses {lost / 300:.0f} bytes"
             tell("DLL memory", INTERFACE, reason, "free in Model_Terminate what Model_FirstCall took")
-
-
-class _Heap(ctypes.Structure):
-    _fields_ = [(f"f{k}", ctypes.c_size_t) for k in range(10)]
-
-
-def _heap() -> Callable[[], int] | None:
-    """Bytes in use of glibc's heap, or None where they cannot be counted."""
-    mallinfo = getattr(ctypes.CDLL(None), "mallinfo2", None) if sys.platform == "linux" else None
-    if mallinfo is None:
-        return None
-    mallinfo.restype = _Heap
-    return lambda: int(mallinfo().f7)
 
 
 def bounds(library: RealCodeLibrary, tell: Tell) -> None:
@@ -307,7 +294,7 @@ def bounds(library: RealCodeLibrary, tell: Tell) -> None:
             tell("DLL states", name, "is written beyond its declared number", "declare as many as it writes")
 
 
-TOPICS: dict[str, Callable[[RealCodeLibrary, Tell], None]] = {
+TOPICS: dict[str, _Topic] = {
     "description": description,
     "bounds": bounds,
     "finite outputs": finite,

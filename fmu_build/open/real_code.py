@@ -23,54 +23,30 @@ REQUIRED = ("Model_GetInfo", "Model_CheckParameters", "Model_Initialize", "Model
 OPTIONAL = ("Model_FirstCall", "Model_Iterate", "Model_PrintInfo")
 
 
-def _of(kind: Any, names: str) -> list[tuple[str, Any]]:
-    """Return fields of one type; names : with a space between."""
-    return [(name, kind) for name in names.split()]
-
-
 class _Value(ctypes.Union):
     _fields_ = [(f"t{k}", t) for k, t in TYPES.items()]
 
 
-class _Signal(ctypes.Structure):
-    _fields_ = [*_of(c_char_p, "name description unit"), *_of(c_int32, "type width")]
+def _structure(*fields: Any) -> Any:
+    """Return a structure in natural alignment; fields : names with a space between, their type, names, ..."""
+    named = [(name, kind) for names, kind in zip(*2 * [iter(fields)], strict=True) for name in names.split()]
+    return type("Structure", (ctypes.Structure,), {"_fields_": named})
 
 
-class _Parameter(ctypes.Structure):
-    _fields_ = [
-        *_of(c_char_p, "name group description unit"),
-        *_of(c_int32, "type fixed"),
-        *_of(_Value, "start min max"),
-    ]
-
-
-class Info(ctypes.Structure):
-    """What Model_GetInfo tells; sample_time : s."""
-
-    _fields_ = [
-        ("version", c_uint8 * 4),
-        *_of(c_char_p, "name model_version description general created creator modified modified_by"),
-        *_of(c_char_p, "comment history"),
-        ("sample_time", c_double),
-        ("mode", c_uint8),
-        ("n_inputs", c_int32),
-        ("inputs", POINTER(_Signal)),
-        ("n_outputs", c_int32),
-        ("outputs", POINTER(_Signal)),
-        ("n_parameters", c_int32),
-        ("parameters", POINTER(_Parameter)),
-        *_of(c_int32, "n_int n_float n_double"),
-    ]
-
-
-class _Instance(ctypes.Structure):
-    _fields_ = [
-        *_of(c_void_p, "inputs outputs parameters"),
-        ("time", c_double),
-        ("mode", c_uint8),
-        *_of(c_char_p, "error message"),
-        *_of(c_void_p, "int_states float_states double_states"),
-    ]
+_Signal = _structure("name description unit", c_char_p, "type width", c_int32)
+_Parameter = _structure(
+    *("name group description unit", c_char_p, "type fixed", c_int32, "start min max", _Value)
+)
+Info = _structure(
+    *("version", c_uint8 * 4, "name model_version description general created creator", c_char_p),
+    *("modified modified_by comment history", c_char_p, "sample_time", c_double, "mode", c_uint8),
+    *("n_inputs", c_int32, "inputs", POINTER(_Signal), "n_outputs", c_int32, "outputs", POINTER(_Signal)),
+    *("n_parameters", c_int32, "parameters", POINTER(_Parameter), "n_int n_float n_double", c_int32),
+)
+_Instance = _structure(
+    *("inputs outputs parameters", c_void_p, "time", c_double, "mode", c_uint8),
+    *("error message", c_char_p, "int_states float_states double_states", c_void_p),
+)
 
 
 @dataclass(frozen=True)
@@ -142,7 +118,7 @@ class RealCodeLibrary:
         if bad:
             raise FmuFileError(f"{path}: {', '.join(bad)}: type or width that the interface does not know")
 
-    def call(self, name: str, instance: _Instance) -> int:
+    def call(self, name: str, instance: ctypes.Structure) -> int:
         """Call a function of an instance; one that is left out does nothing."""
         if not hasattr(self._c, name):
             return OK
@@ -154,8 +130,7 @@ class Values:
 
     def __init__(self, ports: tuple[Port, ...]) -> None:
         types = [TYPES[p.type] * p.width if p.width > 1 else TYPES[p.type] for p in ports]
-        fields = [(f"f{k}", kind) for k, kind in enumerate(types)]
-        self.structure = type("Values", (ctypes.Structure,), {"_fields_": fields})()
+        self.structure = _structure(*(x for k, kind in enumerate(types) for x in (f"f{k}", kind)))()
         self._fields = {p.name: f"f{k}" for k, p in enumerate(ports)}
         self._texts: list[bytes] = []
 
