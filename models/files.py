@@ -316,10 +316,18 @@ def locked(path: Path, *, make: bool = False) -> IO[bytes] | None:
             if not make:
                 file.close()
                 raise
-        if not path.exists():
+        if not _is_at(file, path):
             file.close()
             return None
     return file
+
+
+def _is_at(file: IO[bytes], path: Path) -> bool:
+    """Whether `path` is still this open file: another process may have removed it, a third made it anew."""
+    try:
+        return os.path.samestat(os.fstat(file.fileno()), path.stat())
+    except FileNotFoundError:
+        return False
 
 
 @contextlib.contextmanager

@@ -72,14 +72,16 @@ def test_it_raises_the_inter_area_damping_with_any_one_signal_lost(
     name: str, local_share: float, cache: Path
 ) -> None:
     """At latencies between those of the design too; at those of the record it is that of the record."""
-    table, K = load_design(name), shipped_controller(name).system
+    table, controller = load_design(name), shipped_controller(name)
+    K, record = controller.system, controller.certificate
     points = family_plants(table, cache)
     modes = {name: modes_of(point.searched, table.grid.areas) for name, point in points.items()}
+    bands = {name: inter_area_band(each) for name, each in modes.items()}
     codes = ("N", "s150", *(f"s50+L:{signal}" for signal in table.signals))
     conditions = [condition_of_many(code, table.signals) for code in codes]
     # the rows of `judge_family` without its criteria of loss and effort, which are not looked at here
     judged = [
-        family_row(name, point.judged, K, condition, inter_area_band(modes[name]))
+        family_row(name, point.judged, K, condition, bands[name])
         for name, point in points.items()
         for condition in conditions
     ]
@@ -95,14 +97,12 @@ def test_it_raises_the_inter_area_damping_with_any_one_signal_lost(
     assert least < 0.09
     assert min(row.inter_area for row in rows) >= 2.0 * least
     assert min(row.worst_swing for row in rows) >= local_share * local
-    record = shipped_controller(name).certificate
     assert record is not None
     late = [row for row in record["rows"] if row["condition"].startswith("s200+L:")]
     least_recorded = sorted(late, key=lambda row: row["inter_area"])[:3] + late[:1]
     for known in least_recorded:
         point, condition = known["point"], condition_of_many(known["condition"], table.signals)
-        band = inter_area_band(modes_of(points[point].searched, table.grid.areas))
-        row = family_row(point, points[point].judged, K, condition, band)
+        row = family_row(point, points[point].judged, K, condition, bands[point])
         assert (row.inter_area, row.worst_swing) == pytest.approx(
             (known["inter_area"], known["worst_swing"]), abs=1e-7
         )
