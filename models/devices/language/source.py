@@ -10,6 +10,7 @@ from ...errors import DeviceError
 from .device import BASES, NO_LIMIT
 from .expression import NAME
 
+MOST_ENTRIES = 200  #: of a table
 _RESERVED = frozenset({*BASES, "none"})
 
 
@@ -41,8 +42,8 @@ class Source:
 
     def table(self, key: str) -> dict[str, Any]:
         value = self.raw.get(key, {})
-        if not isinstance(value, dict) or len(value) > 100:
-            raise self.fail(f"{key} must be a table of at most 100 entries", self.line_of(key))
+        if not isinstance(value, dict) or len(value) > MOST_ENTRIES:
+            raise self.fail(f"{key} must be a table of at most {MOST_ENTRIES} entries", self.line_of(key))
         return value
 
     def texts(self, key: str) -> tuple[str, ...]:
