@@ -21,6 +21,7 @@ _CANCELLED = 0.2  # of a step's size: what is left when less is made orthogonal 
 _SETTLED = 1e-5  # relative error of an eigenvalue that a cell may claim
 _GROWTH = 0.1  # 1/s: how far right of the axis the first search looks
 _EQUAL = 1e-7  # relative: nearer eigenvalues are copies, or one found twice
+_NEW = 1e-3  # share of a vector outside those of known pairs of its eigenvalue: below it none of its own
 _SMALLEST_CELL = 0.05  # rad/s, from corner to corner
 _CLOSE = 0.5  # 1/s, with half the frequency: eigenpairs that a deflated cell leaves out
 
@@ -162,16 +163,25 @@ class Search:
                     self.beside.append(complex(value))
                 continue
             copies = [p for p in self.pairs if abs(p.value - value) < 1e-5 * (1.0 + abs(value))]
-            rest = _without(vector, copies)
-            if copies and np.linalg.norm(rest) < 1e-3 * np.linalg.norm(vector):
-                continue
-            pair = self._refined(value, rest, copies)
+            pair = self._refined(value, vector, copies)
+            # it may settle beside that, on an eigenvalue which known pairs have: then not on their vectors
+            while pair is not None and (others := self._of_equal_value(pair, copies)):
+                copies = [*copies, *others]
+                pair = self._refined(pair.value, pair.right, copies)
             if pair is not None:
                 self.pairs.append(pair)
 
+    def _of_equal_value(self, pair: Pair, copies: list[Pair]) -> list[Pair]:
+        """Return the known pairs of its eigenvalue that are none of `copies`."""
+        near = _EQUAL * (1.0 + abs(pair.value))
+        return [p for p in self.pairs if abs(p.value - pair.value) < near and p not in copies]
+
     def _refined(self, value: complex, vector: ComplexArray, copies: list[Pair]) -> Pair | None:
-        """Inverse iteration from both sides; None where it does not settle or ends on what is known."""
-        right = vector / np.linalg.norm(vector)
+        """Inverse iteration from both sides; None where it does not settle or `copies` span the vector."""
+        right = _without(vector, copies)
+        if not np.linalg.norm(right) >= _NEW * np.linalg.norm(vector):
+            return None
+        right /= np.linalg.norm(right)
         left = _without_left(self._random.standard_normal(len(right)) + 0j, copies)
         for _ in range(4):
             shifted = self.loop.shifted(value * (1.0 + 1e-9) + 1e-10)
@@ -190,10 +200,7 @@ class Search:
                 residual <= self.tolerance and abs(value - before) < 1e-9
             ):
                 break
-        same = [
-            p for p in self.pairs if abs(p.value - value) < _EQUAL * (1.0 + abs(value)) and p not in copies
-        ]
-        if not residual <= self.tolerance or (same and _is_known(right, same)):
+        if not residual <= self.tolerance:
             return None
         return Pair(value, right, left / scale, residual)
 
@@ -226,8 +233,3 @@ def _without_left(y: npt.NDArray[Any], pairs: Sequence[Pair]) -> ComplexArray:
         V, W = np.array([p.right for p in pairs]), np.array([p.left for p in pairs])
         y = y - (V @ y) @ W
     return np.asarray(y, dtype=complex)
-
-
-def _is_known(right: ComplexArray, pairs: Sequence[Pair]) -> bool:
-    rest = _without(right, pairs)
-    return bool(np.linalg.norm(rest) < 1e-3 * np.linalg.norm(right))
