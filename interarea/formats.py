@@ -42,6 +42,7 @@ def kinds() -> dict[str, str]:
         "device": "a device: an exciter, stabilizer, governor or compensator (TOML) that a case names",
         "sweep": "a sweep: one scenario, many values (TOML)",
         "study": "a study: one case through designs, runs, figures and a report (TOML)",
+        "grid_study": "the study of a grid: what is asked; what it leaves out follows rules (TOML)",
         "claims": "what a publication prints, to be judged by a study's numbers (TOML)",
     }
 
@@ -149,6 +150,10 @@ def _model(kind: str) -> type[BaseModel]:
         from interarea.cosim.designs.design_file import DesignTable
 
         return DesignTable
+    if kind == "grid_study":
+        from interarea.cosim.grid_study.choices import Choices
+
+        return Choices
     if kind in ("study", "claims"):
         from interarea.cosim.study.tables import ClaimsTable, StudyTable
 
@@ -185,7 +190,7 @@ def page(kind: str) -> str:
     result = schema(kind)
     comments, examples = _comments(kind), _examples(kind, result)
     lines = [
-        f"# Every key of {'events' if kind == 'events' else f'a {kind}'}",
+        f"# Every key of {'events' if kind == 'events' else f'a {kind}'.replace('_', ' ')}",
         "",
         f"For those who write {kinds()[kind]}. After this page you know every key with its unit, range, "
         "default and an example; it is made by `docs/formats/make.py` from the models that check the files.",
@@ -208,6 +213,8 @@ def page(kind: str) -> str:
 
         lines += diagram_words()
     start = "" if kind == "events" else f" `interarea new {kind}` writes one to start from."
+    if kind == "grid_study":
+        start = " `interarea new study GRID` writes one with what is found in a grid."
     lines += [f"Next: [the commands that take it](../generated/commands.md).{start}"]
     return "\n".join(lines).rstrip() + "\n"
 

@@ -32,7 +32,10 @@ class Choices(Table):
             description="bundled case, a case, RAW or MATPOWER file beside this one, or a grid to download"
         ),
     ]
-    dyr: Annotated[str | None, Field(description="PSS/E dynamic data of a RAW file, beside this one")] = None
+    dyr: Annotated[
+        str | None,
+        Field(description="PSS/E dynamic data of a RAW file, beside this one", examples=["mine.dyr"]),
+    ] = None
     minutes: Annotated[
         float, Field(gt=0.0, description="that it may take; what there is no time for is left out and said")
     ] = MINUTES

@@ -31,7 +31,7 @@ def new(
         str,
         typer.Argument(
             metavar="KIND",
-            help="scenario, case, device, controller, design, sweep, study, claims or test",
+            help="scenario, case, device, controller, design, sweep, study, grid_study, claims or test",
         ),
     ],
     out: Annotated[Path, typer.Option("--out", metavar="FILE", help="file to write", show_default=False)],
@@ -60,7 +60,8 @@ def new(
         text = _grid_study(kind, grid, dyr, out)
     else:
         text = source.read_text(encoding="utf-8")
-    if suffix == ".toml" and not grid:  # the line by which editors complete and check
+    if suffix == ".toml":  # the line by which editors complete and check
+        kind = "grid_study" if grid else kind
         text = f"#:schema {(SCHEMAS / f'{kind}.json').as_uri()}\n{text}"
     write_whole(out, text)
     tell_file(out, json_)

@@ -14,6 +14,7 @@ import interarea as ia
 from interarea import formats
 from interarea.cli.listing import bundled_files
 from interarea.cosim.designs.design_file import load_design
+from interarea.cosim.grid_study.choices import Choices, load_choices
 from interarea.cosim.scenario.scenario import load_scenario
 from interarea.cosim.study.spec import design_specs, load_study, read_claims
 from interarea.cosim.sweep.spec import load_sweep
@@ -52,6 +53,11 @@ def test_every_key_says_what_it_is_with_an_example_or_a_default(kind: str) -> No
         assert example or default not in ("", "needed") or "table" in holds or "object" in holds, key
 
 
+def test_the_template_of_a_grid_study_has_every_key() -> None:
+    text = (formats.TEMPLATES / "grid_study.toml").read_text(encoding="utf-8").replace("# dyr", "dyr")
+    assert set(tomllib.loads(text)) == set(Choices.model_fields)
+
+
 def test_the_files_that_show_every_key_are_valid() -> None:
     load_scenario(formats.TEMPLATES / "all_scenario.toml")
     assert ia.load_case(formats.TEMPLATES / "all_case.toml").machine("south").slack
@@ -82,6 +88,8 @@ def test_what_new_writes_runs(kind: str, interarea, tmp_path: Path) -> None:  # 
         assert load_sweep(file).size == 6
     elif kind == "study":
         assert design_specs(load_study(str(file)))["wdc"] == WdcSpec(low_pass=20.0)
+    elif kind == "grid_study":
+        assert load_choices(file).most_actuators == 2
     elif kind == "claims":
         assert read_claims(file)["statement"][0]["parts"] == ["inter < local"]
     else:
