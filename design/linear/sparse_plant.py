@@ -302,8 +302,8 @@ def _ports_of_devices(ports: Matrix, names: Sequence[str]) -> tuple[IntArray, In
     devices = ports[:, 0] == _DEVICE
     for k in ports[devices & (ports[:, _COUPLING] == 0.0), 1]:
         raise SparsePlantError(
-            f"{names[int(k)]} regulates another bus than its own, which is not taken; leave "
-            "out `regulates`, or use `interarea modes` on a grid of fewer states"
+            f"{names[int(k)]} regulates another bus than its own or measures a branch, which is not "
+            "taken; leave out `regulates` and `measures`, or use `interarea modes` on a grid of fewer states"
         )
     coupling = ports[:, _COUPLING]
     inverters = devices & ((coupling == INVERTER) | ((coupling == CONVERTER) & (ports[:, FAR] == 1.0)))

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from ..errors import CaseError, nearest
 from .document import ROW_TABLES
 
 if TYPE_CHECKING:  # names are looked up in an `outline` too, before pydantic's models are loaded
-    from .schema import Machine
+    from .schema import Branch, Converter, Machine
     from .tables import CaseTables
 
 
@@ -51,14 +51,52 @@ def _check_references(case: CaseTables) -> None:
     for svc in case.svcs:
         _bus(svc.seen_bus, f"svcs.{svc.name}.regulates", known)
     _check_links(case, known)
+    branches = {b.name: b for b in case.branches}
+    for row in case.converters:
+        _check_measured(row, branches, known)
     if case.tie is None:
         return
-    branches = {b.name: b for b in case.branches}
     for name in case.tie.branches:
         if name not in branches:
             raise ValueError(f"tie.branches: branch {name!r} does not exist; {nearest(name, branches)}")
         if case.tie.from_bus not in (branches[name].from_bus, branches[name].to_bus):
             raise ValueError(f"tie.from = {case.tie.from_bus}: branch {name!r} does not end there")
+
+
+def _check_measured(row: Converter, branches: Mapping[str, Branch], known: set[int]) -> None:
+    """Check where the plant control of a converter measures."""
+    where, control = f"converters.{row.name}", row.control.parameters
+    if row.measures_from is not None and row.measures is None:
+        raise ValueError(f"{where}: measures_from without measures, allowed: both, or none")
+    if row.regulates is None and row.measures is None:
+        return
+    if row.control.kind == "wecc_converter" and control.get("PLANT") != 1.0:
+        raise ValueError(
+            f"{where}: regulates or measures without a plant control, allowed: with PLANT = 1; leave them out"
+        )
+    if row.regulates is not None:
+        _bus(row.regulates, f"{where}.regulates", known)
+    if row.measures is None:
+        if control.get("plant_VCFLAG") == 1.0:
+            raise ValueError(
+                f"{where}: plant_VCFLAG = 1 takes the drop of a branch's current off the voltage of bus "
+                f"{row.regulates}, but there is no branch; give measures, or set plant_VCFLAG to 0"
+            )
+        return
+    branch = branches.get(row.measures)
+    if branch is None:
+        raise ValueError(
+            f"{where}.measures: branch {row.measures!r} does not exist; {nearest(row.measures, branches)}"
+        )
+    if not branch.in_service:
+        raise ValueError(
+            f"{where}.measures: branch {row.measures!r} is out of service, allowed: one in service"
+        )
+    if row.measures_from not in (None, branch.from_bus, branch.to_bus):
+        raise ValueError(
+            f"{where}.measures_from = {row.measures_from}: branch {row.measures!r} does not end there, "
+            f"allowed: {branch.from_bus} or {branch.to_bus}"
+        )
 
 
 def _check_links(case: CaseTables, known: set[int]) -> None:

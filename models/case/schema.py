@@ -397,6 +397,9 @@ class Converter(Row):
     base_mva: Positive  #: base of its per-unit values
     P_mw: Number  #: into the network
     Q_mvar: Number = 0.0  #: into the network
+    regulates: BusNumber | None = None  #: number of the bus that its plant control sees; None: its own
+    measures: Name | None = None  #: name of the branch whose flow its plant control sees; None: its own power
+    measures_from: BusNumber | None = None  #: number of the bus where that leaves; None: the branch's `from`
     control: ConverterControl  #: device and its values
 
     @property

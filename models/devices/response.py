@@ -31,6 +31,10 @@ POINT |= {
     "v2": 1.0,
     "p2": 0.5,
     "ip1": -0.5,
+    "vreg": 1.0,
+    "vdrop": 1.0,
+    "pbr": 0.4,
+    "qbr": 0.1,
 }
 #: kind -> what is stepped and by how much
 STEPS = {
@@ -48,7 +52,7 @@ STEPS = {
 }
 #: powers that are those of a device's own currents, of which voltage and current
 _POWERS = {
-    "converter": (("p", "vt", "ip"), ("q", "vt", "iq")),
+    "converter": (("p", "vt", "ip"), ("q", "vt", "iq"), ("pbr", "vt", "ip"), ("qbr", "vt", "iq")),
     "vsc": (("p1", "v1", "ip1"), ("p2", "v2", "ip2")),
 }
 _VOLTAGES = ("vt", "v1", "v2")  #: magnitudes
@@ -99,6 +103,7 @@ def response_of(
     inputs = {name: seen[name] for name in kind.inputs}
     if device.kind == "converter":  # its currents are those of its powers
         seen["ip"], inputs["iq"] = seen["p"] / seen["vt"], seen["q"] / seen["vt"]
+        inputs |= {"pbr": seen["p"], "qbr": seen["q"], "vreg": seen["vt"], "vdrop": seen["vt"]}
     if device.kind == "hvdc":  # it rests at its current, at any angles
         inputs |= {"iord": seen["idc"], "xr": 0.3, "xi": 0.3}
     if device.kind == "source":

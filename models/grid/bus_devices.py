@@ -20,7 +20,7 @@ from ..case.schema import Load, Machine, Saturation
 from .coupling import device_port_buses
 from .network import load_power
 
-ROWS = 22
+ROWS = 23
 LOAD, MACHINE, DEVICE = 1, 2, 3
 LOWEST_PU = {"current": 0.5, "power": 0.7}  #: below, such a share of a load is constant impedance
 _SATURATION = {"none": 0, "total": 1, "incremental": 2}

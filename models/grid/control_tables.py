@@ -234,7 +234,7 @@ def controls_at_rest(
         {"vt": network, "vs": frozenset({f"{s.name}_{modulation(s.control.kind)}"})} for s in case.svcs
     ]
     inputs += [
-        dict.fromkeys(("vt", "p", "q", "vr", "vi", "ir", "ii"), network)
+        dict.fromkeys(("vt", "p", "q", "vr", "vi", "ir", "ii", "vreg", "vdrop", "pbr", "qbr"), network)
         | {key: frozenset({f"{c.name}_{key}"}) for key in ("p_mod", "q_mod")}
         for c in case.converters
     ]
@@ -320,7 +320,8 @@ def _seen_at_bus(kind: str, volts: float, output: float, given: Mapping[str, flo
     if kind in OF_CONVERTER:
         at |= {"pe": given["p"], "ifd": given["q"]}
         at |= {"vd": given.get("vr", 0.0), "vq": given.get("vi", 0.0)}
-        at |= {"id": given.get("ir", 0.0), "iq": given.get("ii", 0.0)}
+        at |= {"id": given.get("ir", given.get("pbr", 0.0)), "iq": given.get("ii", given.get("qbr", 0.0))}
+        at |= {"efd": given.get("vreg", 0.0), "pm": given.get("vdrop", 0.0)}
     elif kind == "hvdc":
         at |= {"pe": given["vdi"]}
     elif kind == "vsc":

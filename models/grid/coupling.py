@@ -24,6 +24,7 @@ from ..devices.language.structure import Model
 from ..devices.library import device_model
 from ..errors import DeviceError
 from .dc_link import LinkPoint, link_ports
+from .network import branch_stamp
 from .vsc_link import CONVERTER, VscPoint, point_of_link, vsc_ports
 
 NOTHING, SUSCEPTANCE, CURRENT, SOURCE = 0, 1, 2, 6  #: CouplingKind, beside CONVERTER
@@ -41,6 +42,20 @@ class BusPoint:
     q: float  #: reactive power into the network, base of the case
     p: float = 0.0  #: active power into the network, base of the case
     angle: float = 0.0  #: of its bus, rad
+    #: voltage of the bus that a plant control regulates; voltage and current at the end of the branch that it
+    #: measures, pu of the case; None: its own
+    regulated: complex | None = None
+    measured: tuple[complex, complex] | None = None
+
+    def _measured(self, share: float, drop: complex) -> dict[str, float]:
+        """What a plant control sees; `drop` : of the voltage by the current, pu of its base."""
+        turn = cmath.rect(1.0, self.angle)
+        here = self.own * turn
+        volts = here if self.regulated is None else self.regulated
+        at, current = self.measured or (here, self.current(1.0) * turn)
+        power = at * current.conjugate() / share
+        less = abs(volts - drop * current / share)
+        return {"vreg": abs(volts), "vdrop": less, "pbr": power.real, "qbr": power.imag}
 
     def source(self, share: float, impedance: complex) -> complex:
         """Return the voltage behind a source's `impedance` against the angle of its bus, pu of its base."""
@@ -61,13 +76,17 @@ class BusPoint:
         return power / self.own ** (2 if COUPLINGS[kind] == SUSCEPTANCE else 1) / share
 
     def given(self, kind: str, share: float, impedance: complex = 0.0) -> dict[str, float]:
-        """Return what the device sees, of a converter also its reactive current, of a source its voltage."""
+        """Return what the device sees, of a converter also its reactive current, of a source its voltage.
+
+        impedance : of a source; of a converter the drop of its plant control, pu of its base.
+        """
         if kind not in OF_CONVERTER:
             return {"vt": self.seen, "vs": 0.0}
         p, q = self.p / share, self.q / share
         if kind == "converter":
             direction = cmath.rect(min(1.0, self.own / LOW_PU), self.angle)
             own = {"iq": q / self.own, "vr": direction.real, "vi": direction.imag}
+            own |= self._measured(share, impedance)
         else:
             turn = cmath.rect(1.0, self.angle)
             v, i = self.own * turn, self.current(share) * turn
@@ -88,7 +107,8 @@ class Coupling:
     taken: tuple[float, float, float] = (1e3, 0.0, -1e3)  #: voltage above which, how much, not below
     direction: bool = False  #: whether a converter sees the direction of its voltage, a source components
     shunt: float = 0.0  #: of a converter behind an impedance: its active current less by the voltage
-    values: Mapping[str, float] = field(default_factory=dict)  #: of a dc link or source: those of its device
+    plant: bool = False  #: whether a converter sees what a plant control measures
+    values: Mapping[str, float] = field(default_factory=dict)  #: those of its device, other than of an SVC
 
 
 AtRest = BusPoint | LinkPoint | VscPoint  #: a device at a bus, or between two, at rest
@@ -101,11 +121,11 @@ def output_and_given(
     if isinstance(bus, BusPoint) and kind == "source":
         behind = complex(float(numbers["Re"]), float(numbers["Xe"]))
         return bus.output(kind, share, behind), bus.given(kind, share, behind)
-    output, given = bus.output(kind, share), bus.given(kind, share)
     if isinstance(bus, BusPoint) and kind == "converter":
-        y = behind_impedance(numbers)
-        output, given["iq"] = output + y.real * bus.own, given["iq"] - y.imag * bus.own
-    return output, given
+        given, y = bus.given(kind, share, drop_of(numbers)), behind_impedance(numbers)
+        given["iq"] -= y.imag * bus.own
+        return bus.output(kind, share) + y.real * bus.own, given
+    return bus.output(kind, share), bus.given(kind, share)
 
 
 def model_at_bus(row: Svc | Converter | Hvdc | Vsc, own: Mapping[str, Model]) -> Model:
@@ -187,12 +207,21 @@ def coupling_of(instance: Instance) -> Coupling:
         return Coupling(state, 1.0, 0.0, states[1], direction=sees, values=instance.values)
     if len(states) > 1:
         shunt = behind_impedance(instance.values).real
-        return Coupling(state, 1.0, 0.0, states[1], *_port_numbers(instance), sees, shunt)
+        plant = bool({"vreg", "vdrop", "pbr", "qbr"} & seen)
+        numbers = _port_numbers(instance)
+        return Coupling(state, 1.0, 0.0, states[1], *numbers, sees, shunt, plant, instance.values)
     if state == device.output:
         return Coupling(state, 1.0, 0.0)
     node = next(line.node for line in device.lines if line.name == device.output)
     bias = float(evaluate(node, instance.values | {state: 0.0}))
     return Coupling(state, float(evaluate(node, instance.values | {state: 1.0})) - bias, bias)
+
+
+def drop_of(numbers: Mapping[str, float | str]) -> complex:
+    """Return the impedance, pu of its base, by which a plant control's voltage falls with its current."""
+    if numbers.get("plant_VCFLAG") != 1.0:
+        return 0j
+    return complex(float(numbers["plant_Rc"]), float(numbers["plant_Xc"]))
 
 
 def behind_impedance(numbers: Mapping[str, float | str]) -> complex:
@@ -217,7 +246,40 @@ def _port_numbers(instance: Instance) -> tuple[tuple[float, float], tuple[float,
 
 def device_port_buses(case: Case) -> list[int]:
     """Return the number of the bus of each port of `device_ports`, in its order."""
-    return [bus for svc in case.at_buses for bus in dict.fromkeys((svc.bus, svc.seen_bus))]
+    buses: list[int] = []
+    for row in case.at_buses:
+        buses += dict.fromkeys((row.bus, row.seen_bus))
+        if isinstance(row, Converter):
+            buses += _measuring_buses(case, row)
+    return buses
+
+
+def _measuring_buses(case: Case, row: Converter) -> tuple[int, ...]:
+    """The bus that a plant control regulates, and both ends of its branch, the measured one first."""
+    if row.measures is None:
+        return () if row.regulates is None else (row.regulates,)
+    branch = next(b for b in case.branches if b.name == row.measures)
+    ends = (branch.from_bus, branch.to_bus)
+    return (row.regulates or row.bus, *(ends if row.measures_from in (None, ends[0]) else ends[::-1]))
+
+
+def _measured_branch(case: Case, row: Converter) -> tuple[int, complex, complex]:
+    """Number of the branch that a plant control measures, its admittances seen from the measured end."""
+    k = next(k for k, b in enumerate(case.branches) if b.name == row.measures)
+    stamp = branch_stamp(case.branches[k])
+    first = 0 if row.measures_from in (None, case.branches[k].from_bus) else 1
+    return k, complex(stamp[first, first]), complex(stamp[first, 1 - first])
+
+
+def _measuring_ports(case: Case, row: Converter, k: int, index: Mapping[int, int]) -> list[list[float]]:
+    """Rows of the ports behind that of device `k`, at which only its plant control measures."""
+    ports: list[list[float]] = []
+    for kind, bus in enumerate(_measuring_buses(case, row), start=1):
+        ports.append([k, 1.0, index[bus], 0.0, 0.0, 0.0, NOTHING, 0.0, 0.0, LOW_PU, 0.0, 0.0, kind])
+    if row.measures is not None:
+        branch, own, mutual = _measured_branch(case, row)
+        ports[1] += [own.real, own.imag, mutual.real, mutual.imag, branch]
+    return ports
 
 
 def device_ports(
@@ -252,15 +314,31 @@ def device_ports(
         if kind == "source":
             y = share / complex(c.values["Re"], c.values["Xe"])
             rows[-1] += [state_names.index(f"{svc.name}.{c.second}"), 0.0]
-            rows[-1] += [y.real, y.imag, share * c.values["Imax"], 0.0, 0.0, float(c.direction)]
+            rows[-1] += [y.real, y.imag, share * c.values["Imax"], 0.0, 0.0, 4.0 * c.direction]
         elif c.second:
             level, slope, least = c.taken
             rows[-1] += [state_names.index(f"{svc.name}.{c.second}"), share * at_rest[c.second]]
-            rows[-1] += [*c.gain, level, share * slope, share * least, float(c.direction)]
-            rows[-1] += [0.0, share * c.shunt]
+            rows[-1] += [*c.gain, level, share * slope, share * least, c.direction + 2.0 * c.plant]
+            drop = drop_of(c.values) / share
+            rows[-1] += [0.0, share * c.shunt, drop.real, drop.imag]
+            if isinstance(svc, Converter):
+                rows += _measuring_ports(case, svc, k, index)
         if not here:
             rows.append([k, 1.0, index[svc.seen_bus], state, 0.0, 0.0, NOTHING, 0.0, k + 1.0, LOW_PU])
     return rows
+
+
+def _measured_at(
+    case: Case, row: Svc | Converter, voltages: npt.NDArray[np.complex128], index: Mapping[int, int]
+) -> tuple[complex | None, tuple[complex, complex] | None]:
+    """What a plant control sees elsewhere: voltage of the regulated bus; voltage, current of the branch."""
+    if not isinstance(row, Converter):
+        return None, None
+    at = [complex(voltages[index[number]]) for number in _measuring_buses(case, row)]
+    if row.measures is None:
+        return at[0] if at else None, None
+    _, own, mutual = _measured_branch(case, row)
+    return at[0], (at[1], own * at[1] + mutual * at[2])
 
 
 def bus_points(
@@ -281,6 +359,7 @@ def bus_points(
             float(s_k.imag),
             float(s_k.real),
             float(np.angle(voltages[index[s.bus]])),
+            *_measured_at(case, s, voltages, index),
         )
         for s, s_k in zip(case.at_buses, power, strict=True)
     )

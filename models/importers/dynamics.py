@@ -37,6 +37,7 @@ CONVERTERS = frozenset(_CONVERTERS.split())
 CONVERTER = "converter"  #: kind of the devices of these
 SOURCE = "source"  #: kind of those that are a voltage behind ZR + jZX of the RAW file, one record each
 SVC = "svc"  #: kind of the devices of units that are SVCs
+PLANT_CONTROL = "REPCA1"  #: a record that names another bus or a branch
 WHOLE = "DERA1"  #: a record that is a converter by itself
 #: of another converter: one record of each
 _ORDERS = ("REECB1", "REECA1", "REECC1")
@@ -355,13 +356,6 @@ def _device(
     """The kind of device that a record is, and its row."""
     if record.model not in records:
         raise CaseError(f"{record.where}: {_unknown(record, records)}")
-    measured = [str(field).strip() for field in record.fields[:3]]
-    if record.model == "REPCA1" and {*measured} - {"0", "0.0"}:
-        raise CaseError(
-            f"{record.where}: REPCA1 at bus {record.bus} measures another bus or a branch, "
-            f"{' '.join(measured)}, allowed: 0 0 0, its own bus; "
-            "--leave-out REPCA1 goes on without plant controls"
-        )
     if record.model == "WSIEG1" and "WSIEG1" not in own_records(own.values()):
         record = _without_curve(record)
     result = device_for_dyr(record, own.values())

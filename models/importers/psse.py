@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -17,7 +17,8 @@ from ..errors import CaseError
 from ..grid.dc_link import link_point
 from ..grid.powerflow import solve_powerflow
 from .document import case_name, document_of, load_exponents, unit_names
-from .dynamics import SOURCE, Dynamics, machine_dynamics, read_dynamics, replaced
+from .dynamics import PLANT_CONTROL, SOURCE, Dynamics, machine_dynamics, read_dynamics, replaced
+from .dyr import DyrRecord
 from .imported import Imported
 from .load_records import take_load_records
 from .places import read_places
@@ -29,6 +30,7 @@ from .raw.motors import read_motors
 from .raw.multi_terminal import read_multi_terminal
 from .raw.nodes import read_nodes
 from .raw.rawx import is_rawx, read_rawx
+from .raw.record import Record
 from .raw.transformers import read_transformers
 from .report import Report
 from .static import USUAL_HZ, StaticGrid, StaticLink
@@ -89,11 +91,14 @@ def import_psse(
     solution = solve_stored(grid, slacks_of(grid, report), report)
     names = unit_names(grid)
     dynamics = Dynamics({}, {}, {})
+    records: tuple[DyrRecord, ...] = ()
+    machine_of: dict[tuple[int, str], str] = {}
     if dyr is not None:
         machine_of = {(u.home, u.identity): n for u, n in zip(grid.units, names, strict=True)}
         out |= {key for key in _all_units(file) if key not in machine_of}
         read = replaced(read_dynamics(Path(dyr), own), leave_out, replace, report)
-        take_load_records(read.records, grid.loads, report)
+        records = read.records
+        take_load_records(records, grid.loads, report)
         dynamics = machine_dynamics(
             read, machine_of, out, report, converters_as_current=converters_as_current, own=own
         )
@@ -114,6 +119,7 @@ def import_psse(
         svcs={names.index(n) for n in dynamics.svcs},
     )
     _take_rows(document, dynamics)
+    _take_measured(records, grid, document, machine_of)
     document["hvdcs"] = link_rows(links, solution.voltages)
     document["devices"] = provided["devices"]
     lines = {name: unit.where for name, unit in zip(names, grid.units, strict=True)} | dynamics.where
@@ -158,6 +164,45 @@ def _take_rows(document: dict[str, Any], dynamics: Dynamics) -> None:
     for table, rows in tables.items():
         for key, row in rows.items():
             document[table][key] |= row
+
+
+def _take_measured(
+    records: Iterable[DyrRecord],
+    grid: StaticGrid,
+    document: dict[str, Any],
+    machine_of: Mapping[tuple[int, str], str],
+) -> None:
+    """Put into the rows of converters where their plant controls measure."""
+    converters = document.get("converters", {})
+    for record in records:
+        name = machine_of.get((record.bus, record.identity))
+        if record.model == PLANT_CONTROL and name in converters:
+            _take_place(record, grid, document["branches"], converters[name])
+
+
+def _take_place(record: DyrRecord, grid: StaticGrid, branches: Iterable[str], row: dict[str, Any]) -> None:
+    """Put into a converter's row where its plant control measures: IREG, then FB TB CKT of a branch."""
+    fields = Record(record.model, record.fields, record.where, {"IREG": 0, "FB": 1, "TB": 2, "CKT": 3})
+    regulated, first, second = (fields.whole(key) for key in ("IREG", "FB", "TB"))
+    if regulated not in (0, record.bus):
+        row["regulates"] = grid.alias.get(regulated, regulated)
+        if row["regulates"] not in grid.buses:
+            raise CaseError(
+                f"{record.where}: REPCA1 regulates bus {regulated}, which the grid does not have in service; "
+                "give 0 for its own bus"
+            )
+    if not first and not second:
+        return
+    circuit = fields.identity("CKT")
+    for name, branch in zip(branches, grid.branches, strict=True):
+        if branch.on and branch.circuit == circuit and branch.name in ((first, second), (second, first)):
+            here = branch.first if branch.name[0] == first else branch.second
+            row |= {"measures": name, "measures_from": here}
+            return
+    raise CaseError(
+        f"{record.where}: REPCA1 measures branch {first}-{second} {circuit!r}, allowed: a line or "
+        "transformer of two windings in service with an impedance; give 0 0 for its own power"
+    )
 
 
 def _take_impedances(grid: StaticGrid, names: Sequence[str], dynamics: Dynamics) -> None:

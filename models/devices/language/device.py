@@ -72,12 +72,16 @@ KINDS: dict[str, Kind] = {
             "q_mod": "modulation where the reactive reference is added, pu of its base",
             "vr": "direction of its voltage in the synchronous frame, real part; below .1 pu less than 1",
             "vi": "direction of its voltage in the synchronous frame, imaginary part",
+            "vreg": "voltage of the bus that a plant control regulates, its own unless the case says, pu",
+            "vdrop": "with plant_VCFLAG = 1 that less (plant_Rc + j plant_Xc) times the current measured, pu",
+            "pbr": "active power into the branch that a plant control measures, else its own, pu of its base",
+            "qbr": "reactive power into that branch, else its own, pu of its base",
         },
         "ip",
         ("pref", "qref"),
         "active current `ip` and reactive current `iq` of a converter, pu of its base",
         ("iq",),
-        ("Lvpnt0", "Lvpnt1", "Volim", "Khv", "Iolim", "REGCB", "Re", "Xe"),
+        ("Lvpnt0", "Lvpnt1", "Volim", "Khv", "Iolim", "REGCB", "Re", "Xe", "plant_Rc", "plant_Xc"),
     ),
     "hvdc": Kind(
         {

@@ -288,7 +288,7 @@ static void solve_devices(const real *memory, const Plan *plan, const num *x, co
     const DeviceSignals signals = { w->vt, w->vd, w->vq, w->id, w->iq, w->pe, machines.x.slip, w->ifd,
                                     memory + plan->pm_step, w->vc, w->vs, w->pm, w->efd, w->out, w->out, w->out, w->out,
                                     w->out, w->out, w->out, w->pe, w->ifd, w->vs, w->vc, w->vt, w->pe, w->vd, w->vq,
-                                    w->vt, w->pe, w->vd, w->vq, w->id, w->iq };
+                                    w->vt, w->pe, w->vd, w->vq, w->id, w->iq, w->efd, w->pm, w->id, w->iq };
 
     for (size_t k = 0; k < n; ++k) {
         w->efd[k] = NUM(table[M_EFD0 * n + k]);

@@ -31,6 +31,63 @@ static void see_components(const real *memory, const Plan *plan, const num *x, s
     w->iq[at] = num_ratio(i_re * sine + i_im * cosine, scale);
 }
 
+/* What a plant control sees: the voltage of the bus that it regulates, also less its drop, and power, with `re`, `im`
+ * the current that it measures and `power_re`, `power_im` the voltage there. */
+static void see_measured(const real *row, num v_re, num v_im, num re, num im, num power_re, num power_im, size_t at, Work *w)
+{
+    const num scale = NUM(row[P_SCALE]), r = NUM(row[P_DROP_R]), x = NUM(row[P_DROP_X]);
+    const num less_re = v_re - (r * re - x * im), less_im = v_im - (r * im + x * re);
+
+    w->efd[at] = num_sqrt(v_re * v_re + v_im * v_im);
+    w->pm[at] = num_sqrt(less_re * less_re + less_im * less_im);
+    w->id[at] = num_ratio(power_re * re + power_im * im, scale);
+    w->iq[at] = num_ratio(power_im * re - power_re * im, scale);
+}
+
+/* Whether port p only measures for a plant control, and is of such a kind. */
+static int port_measures(const real *memory, const Plan *plan, size_t p, size_t kind)
+{
+    const real *row = memory + plan->port + P_ROWS * p;
+    return p < plan->n_port && port_is_device(row) && index_at(row, P_COUPLING) == COUPLING_NONE
+           && index_at(row, P_MEASURES) == kind;
+}
+
+/* Of the converter at port p: at its own bus, or where the ports behind its own are. */
+static void see_plant(const real *memory, const Plan *plan, const num *x, size_t p, size_t at, Work *w)
+{
+    const real *row = memory + plan->port + P_ROWS * p;
+    const int flow = port_measures(memory, plan, p + 2, MEASURE_FLOW) && port_measures(memory, plan, p + 1, MEASURE_REGULATED);
+    const size_t bus = port_measures(memory, plan, p + 1, MEASURE_REGULATED) ? p + 1 : p, end = flow ? p + 2 : p;
+    const num a_re = w->port.v_re[end], a_im = w->port.v_im[end];
+    num re, im;
+
+    if (flow) {
+        const real *of = row + 2 * P_ROWS, on = memory[plan->in_service + index_at(of, P_BRANCH)];
+        const num b_re = w->port.v_re[p + 3], b_im = w->port.v_im[p + 3];
+        re = on * (of[P_OWN_RE] * a_re - of[P_OWN_IM] * a_im + of[P_MUTUAL_RE] * b_re - of[P_MUTUAL_IM] * b_im);
+        im = on * (of[P_OWN_RE] * a_im + of[P_OWN_IM] * a_re + of[P_MUTUAL_RE] * b_im + of[P_MUTUAL_IM] * b_re);
+    } else {
+        bus_device_injection(row, x, w->sine[at], w->cosine[at], a_re, a_im, &re, &im);
+    }
+    see_measured(row, w->port.v_re[bus], w->port.v_im[bus], re, im, a_re, a_im, at, w);
+}
+
+/* What the converter or source at port p sees, whose voltage is v. */
+static void see_converter(const real *memory, const Plan *plan, const num *x, size_t p, size_t at, int far, num v, Work *w)
+{
+    const real *row = memory + plan->port + P_ROWS * p;
+    const size_t sees = index_at(row, P_DIRECTION);
+    num active, reactive;
+
+    bus_device_power(row, x, w->sine[at], w->cosine[at], w->port.v_re[p], w->port.v_im[p], &active, &reactive);
+    *(far ? &w->vq[at] : &w->pe[at]) = num_ratio(active, NUM(row[P_SCALE]));
+    if (far) return;
+    w->ifd[at] = num_ratio(reactive, NUM(row[P_SCALE]));
+    if (sees & 1u) see_direction(memory, plan, p, at, v, w);
+    if (sees & 2u) see_plant(memory, plan, x, p, at, w);
+    if (sees & 4u) see_components(memory, plan, x, p, at, w);
+}
+
 /* Voltages that devices at buses see, the powers of converters and dc voltages of links, on their base. */
 static void see_voltages(const real *memory, const Plan *plan, const num *x, Work *w)
 {
@@ -45,15 +102,7 @@ static void see_voltages(const real *memory, const Plan *plan, const num *x, Wor
         }
         const int far = coupling == COUPLING_CONVERTER && index_at(row, P_FAR) == 1;
         *(far ? &w->vd[at] : &w->vt[at]) = v;
-        if (coupling != COUPLING_CONVERTER && coupling != COUPLING_SOURCE) continue;
-        num active, reactive;
-        bus_device_power(row, x, w->sine[at], w->cosine[at], w->port.v_re[p], w->port.v_im[p], &active, &reactive);
-        *(far ? &w->vq[at] : &w->pe[at]) = num_ratio(active, NUM(row[P_SCALE]));
-        if (far) continue;
-        w->ifd[at] = num_ratio(reactive, NUM(row[P_SCALE]));
-        if (index_at(row, P_DIRECTION) != 1) continue;
-        if (coupling == COUPLING_CONVERTER) see_direction(memory, plan, p, at, v, w);
-        else see_components(memory, plan, x, p, at, w);
+        if (coupling == COUPLING_CONVERTER || coupling == COUPLING_SOURCE) see_converter(memory, plan, x, p, at, far, v, w);
     }
 }
 #endif

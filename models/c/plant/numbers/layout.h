@@ -55,7 +55,7 @@ enum {
     P_P_MIX,            /* constant-current share, constant-power share, share that    */
     P_Q_MIX = P_P_MIX + 5, /* follows an exponent, the exponent, voltage below which it
                            does not any more; the rest is constant impedance        */
-    P_ROWS = P_Q_MIX + 9
+    P_ROWS = P_Q_MIX + 10
 };
 enum {  /* the same rows at the port of a device at a bus (bus_device.h) */
     P_BUS = P_LOAD,     /* position of its bus                          */
@@ -71,10 +71,19 @@ enum {  /* the same rows at the port of a device at a bus (bus_device.h) */
     P_HIGH,             /* voltage above which reactive current is taken off */
     P_TAKEN,            /* and how much by voltage, system base         */
     P_LEAST,            /* but not below this, system base              */
-    P_DIRECTION,        /* 1 where its device sees the direction of the voltage, of a source voltage and current by components */
+    P_DIRECTION,        /* sum of 1 where its device sees the direction of the voltage, 2 what a plant control measures,
+                           4 voltage and current by components */
     P_FAR,              /* 1 at the second end of a dc link with such converters */
-    P_SHUNT             /* by how much the voltage takes active current off, system base: of a voltage behind an impedance */
+    P_SHUNT,            /* by how much the voltage takes active current off, system base: of a voltage behind an impedance */
+    P_DROP_R, P_DROP_X  /* of the voltage that a plant control sees, by the current there, system base */
 };
+enum {  /* the same rows at a port that only measures for the converter whose port is before it, where a plant control
+           does not see its own bus: at the bus that it regulates, then, with a branch, at both ends of that */
+    P_MEASURES = P_ZERO, /* MeasureKind                                  */
+    P_OWN_RE, P_OWN_IM, P_MUTUAL_RE, P_MUTUAL_IM, /* at the first end: admittances of the branch seen from there */
+    P_BRANCH            /* its number                                   */
+};
+typedef enum { MEASURE_VOLTAGE, MEASURE_REGULATED, MEASURE_FLOW, MEASURE_END, MEASURE_KINDS } MeasureKind;
 enum {  /* the same rows at a voltage source; P_STATE is that of its angle, P_STATE_Q that of its voltage */
     P_COND = P_ZERO,    /* 1/(R + jX) of its impedance, system base     */
     P_SUSC,

@@ -182,6 +182,7 @@ static int device_port_fits(const Plan *plan, const double *row)
 {
     return is_place(row[P_BUS], plan->n_bus) && is_place(row[P_STATE], plan->n_state)
            && is_place(row[P_COUPLING], COUPLING_KINDS) && is_place(row[P_STATE_Q], plan->n_state) && is_place(row[P_SEES], plan->n_at_bus + 1)
+           && (row[P_COUPLING] > 0.0 || (is_place(row[P_MEASURES], MEASURE_KINDS) && is_place(row[P_BRANCH], plan->n_branch > 0 ? plan->n_branch : 1)))
            && (row[P_COUPLING] < (double)COUPLING_RECTIFIER || row[P_COUPLING] == (double)COUPLING_SOURCE
                || is_place(row[P_ORDER], plan->n_state));
 }

@@ -118,6 +118,20 @@ pv1 = { bus = 7, base_mva = 200.0, P_mw = 100.0, Q_mvar = 20.0, control = { kind
 der1 = { bus = 9, base_mva = 50.0, P_mw = 20.0, control = { kind = "der_a", FreqFlag = 1, Ddn = 20.0 } }
 gfm1 = { bus = 8, base_mva = 100.0, P_mw = 50.0, Q_mvar = 5.0, control = { kind = "regfm_a1", Imax = 1.2 } }
 vsm1 = { bus = 8, base_mva = 50.0, P_mw = 20.0, control = { kind = "regfm_b1", Tvf = 0.02, Tif = 0.01 } }
+[change.converters.pv2]
+bus = 9
+base_mva = 90.0
+P_mw = 40.0
+regulates = 8
+measures = "8-9 a"
+[change.converters.pv2.control]
+kind = "wecc_converter"
+PLANT = 1
+plant_Ki = 2.0
+plant_Tfltr = 0.02
+plant_REFFLAG = 1
+plant_VCFLAG = 1
+plant_Xc = 0.05
 [change.hvdcs.hvdc1]
 rectifier_bus = 7
 inverter_bus = 9

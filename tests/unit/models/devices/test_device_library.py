@@ -33,6 +33,10 @@ SEEN |= {
     "p1": -0.5,
     "v2": 1.0,
     "p2": 0.5,
+    "vreg": 1.0,
+    "vdrop": 1.0,
+    "pbr": 0.4,
+    "qbr": 0.1,
 }
 OUTPUT = {
     "exciter": 1.8,
@@ -274,7 +278,7 @@ double hold(size_t device, size_t n, uint64_t has, double *table, const double *
 MEMBERS = (
     *("vt", "vd", "vq", "id", "iq", "pe", "slip", "ifd", "pref_step", "vc", "vs", "pm", "efd", "vl"),
     *("b", "i", "ip", "idc", "delta", "ip1", "p", "q", "p_mod", "q_mod", "vdr", "vdi"),
-    *("vr", "vi", "v1", "p1", "v2", "p2", "ir", "ii"),
+    *("vr", "vi", "v1", "p1", "v2", "p2", "ir", "ii", "vreg", "vdrop", "pbr", "qbr"),
 )
 
 

@@ -80,8 +80,8 @@ def test_a_plant_follows_the_record(name):
         ("'REGCA1' 1", "'REGCA1' 2", "G103 has no REGCA1 or REGCB1, which is the converter itself"),
         (
             "103 'REPCA1' 1\n             0           0           0",
-            "103 'REPCA1' 1\n 0 101 103",
-            "REPCA1 at bus 103 measures another bus or a branch, 0 101 103, allowed: 0 0 0",
+            "103 'REPCA1' 1\n 0 101 999",
+            "REPCA1 measures branch 101-999 '0', allowed: a line or transformer of two windings in service",
         ),
     ],
 )

@@ -288,6 +288,7 @@ def test_a_circle_of_the_current_that_cannot_be_released_is_named(kind, flag, pr
     model = library()[kind]
     numbers = numbers_of(model.device, row_of(model.device, {"Imax": 0.405, flag: priority}), 100.0, 60.0)
     seen = {"vt": 1.0, "p": 0.4, "q": 0.1, "p_mod": 0.0, "q_mod": 0.0, "vr": 0.8, "vi": 0.6, "iq": 0.1}
+    seen |= {"vreg": 1.0, "vdrop": 1.0, "pbr": 0.4, "qbr": 0.1}
     with pytest.raises(DeviceError, match=r"test: i[pq]cmd is 0\.[14] at rest, above i[pq]max = 0\."):
         released(model, numbers, seen, 0.4, "test")
 
