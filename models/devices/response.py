@@ -103,6 +103,8 @@ def response_of(
     inputs = {name: seen[name] for name in kind.inputs}
     if device.kind == "converter":  # its currents are those of its powers
         seen["ip"], inputs["iq"] = seen["p"] / seen["vt"], seen["q"] / seen["vt"]
+        if provided.get("REGCC") == 1.0:
+            inputs |= {"e": 1.05, "delta": 0.7, "theta": float(np.angle(complex(seen["vr"], seen["vi"])))}
         inputs |= {"pbr": seen["p"], "qbr": seen["q"], "vreg": seen["vt"], "vdrop": seen["vt"]}
     if device.kind == "hvdc":  # it rests at its current, at any angles
         inputs |= {"iord": seen["idc"], "xr": 0.3, "xi": 0.3}

@@ -29,6 +29,8 @@ from .vsc_link import CONVERTER, VscPoint, point_of_link, vsc_ports
 
 NOTHING, SUSCEPTANCE, CURRENT, SOURCE = 0, 1, 2, 6  #: CouplingKind, beside CONVERTER
 COUPLINGS = {"svc": SUSCEPTANCE, "statcom": CURRENT, "converter": CONVERTER, "source": SOURCE}
+LOCKED = ("delta", "e")  #: states of a REGC_C: its voltage's angle and size
+COUPLING = 6  #: P_COUPLING - 1, in the rows of `device_ports`
 LOW_PU = 0.1  #: below, a current falls with the voltage: one that holds at zero volts has no solution
 _STATES = ("lag", "integrator")  #: elements whose output is a state
 
@@ -124,6 +126,9 @@ def output_and_given(
     if isinstance(bus, BusPoint) and kind == "converter":
         given, y = bus.given(kind, share, drop_of(numbers)), behind_impedance(numbers)
         given["iq"] -= y.imag * bus.own
+        if is_locked(numbers):
+            behind = bus.source(share, complex(float(numbers["Re"]), float(numbers["Xe"])))
+            given |= {"theta": bus.angle, "delta": bus.angle + cmath.phase(behind), "e": abs(behind)}
         return bus.output(kind, share) + y.real * bus.own, given
     return bus.output(kind, share), bus.given(kind, share)
 
@@ -140,14 +145,16 @@ def voltage_sources(case: Case) -> tuple[str, ...]:
     return tuple(row.name for row in case.converters if model_at_bus(row, own).device.kind == "source")
 
 
-def coupled_states(device: Device) -> tuple[str, ...]:
-    """Return the names of the states that set the current.
+def coupled_states(device: Device, numbers: Mapping[str, float | str]) -> tuple[str, ...]:
+    """Return the names of the states that set the current; `numbers` : parameters of the device.
 
     Raises
     ------
     DeviceError : as `coupled_state`, or an output of a converter that is no state.
     """
     lines = {line.name: line for line in device.lines}
+    if is_locked(numbers):
+        return LOCKED
     also = KINDS[device.kind].also
     if not also:
         return (coupled_state(device),)
@@ -192,7 +199,7 @@ def coupling_of(instance: Instance) -> Coupling:
     DeviceError : as `coupled_state`, or a lag without time.
     """
     device = instance.model.device
-    states = coupled_states(device)
+    states = coupled_states(device, instance.values)
     state = states[0]
     for name in states:
         if name not in instance.state_names:
@@ -222,6 +229,11 @@ def drop_of(numbers: Mapping[str, float | str]) -> complex:
     if numbers.get("plant_VCFLAG") != 1.0:
         return 0j
     return complex(float(numbers["plant_Rc"]), float(numbers["plant_Xc"]))
+
+
+def is_locked(numbers: Mapping[str, float | str]) -> bool:
+    """Return whether a converter is a voltage in the frame of a phase-locked loop (REGC_C)."""
+    return numbers.get("REGCC") == 1.0
 
 
 def behind_impedance(numbers: Mapping[str, float | str]) -> complex:
@@ -311,18 +323,21 @@ def device_ports(
         output = share * at_rest[KINDS[kind].output]
         row = [state, share * c.scale, share * c.bias, COUPLINGS[kind], output]
         rows.append([k, 1.0, index[svc.bus], *row, (k + 1.0) * here, LOW_PU])
-        if kind == "source":
+        sees = 4.0 * c.direction if kind == "source" else c.direction + 2.0 * c.plant
+        drop = drop_of(c.values) / share
+        if kind == "source" or is_locked(c.values):
+            rows[-1][COUPLING] = SOURCE
             y = share / complex(c.values["Re"], c.values["Xe"])
+            most = share * c.values["Imax"] if kind == "source" else 0.0  # of REGC_C its orders' limit
             rows[-1] += [state_names.index(f"{svc.name}.{c.second}"), 0.0]
-            rows[-1] += [y.real, y.imag, share * c.values["Imax"], 0.0, 0.0, 4.0 * c.direction]
+            rows[-1] += [y.real, y.imag, most, 0.0, 0.0, sees, 0.0, 0.0, drop.real, drop.imag]
         elif c.second:
             level, slope, least = c.taken
             rows[-1] += [state_names.index(f"{svc.name}.{c.second}"), share * at_rest[c.second]]
-            rows[-1] += [*c.gain, level, share * slope, share * least, c.direction + 2.0 * c.plant]
-            drop = drop_of(c.values) / share
+            rows[-1] += [*c.gain, level, share * slope, share * least, sees]
             rows[-1] += [0.0, share * c.shunt, drop.real, drop.imag]
-            if isinstance(svc, Converter):
-                rows += _measuring_ports(case, svc, k, index)
+        if isinstance(svc, Converter):
+            rows += _measuring_ports(case, svc, k, index)
         if not here:
             rows.append([k, 1.0, index[svc.seen_bus], state, 0.0, 0.0, NOTHING, 0.0, k + 1.0, LOW_PU])
     return rows

@@ -108,7 +108,7 @@ def network_states(case: Case) -> frozenset[str]:
     at_buses = frozenset(
         f"{row.name}.{state}"
         for row in case.at_buses
-        for state in coupled_states(model_at_bus(row, own).device)
+        for state in coupled_states(model_at_bus(row, own).device, row.control.parameters)
     )
     return at_buses | frozenset(f"{m.name}.{key}" for m in case.machines for key in NETWORK_KEYS[m.model])
 

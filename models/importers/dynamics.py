@@ -41,7 +41,7 @@ PLANT_CONTROL = "REPCA1"  #: a record that names another bus or a branch
 WHOLE = "DERA1"  #: a record that is a converter by itself
 #: of another converter: one record of each
 _ORDERS = ("REECB1", "REECA1", "REECC1")
-_PARTS = ((("REGCA1", "REGCB1"), "is the converter itself"), (_ORDERS, "sets its currents"))
+_PARTS = ((("REGCA1", "REGCB1", "REGCC1"), "is the converter itself"), (_ORDERS, "sets its currents"))
 _CURRENTS = "; --converters current takes converters as constant currents"
 
 #: why these are not modelled
@@ -54,7 +54,6 @@ _WHY = {
     **dict.fromkeys(("WTARA1", "WTPTA1", "WTTQA1"), "wind, pitch or torque of a turbine, by its WTDTA1"),
     **dict.fromkeys(("MAXEX1", "OEL1B"), _OVER),
     **dict.fromkeys(("MNLEX1", "MNLEX2", "UEL1", "UEL2"), _UNDER),
-    "REGCC1": "a converter with an inner current loop and a phase-locked loop",
 }
 
 #: assumed of records of these models, and of a field that is not used

@@ -19,6 +19,7 @@ from .raw.text import read_lines, split_record
 PLAIN = {
     "REGCAU1": "REGCA1",
     "REGCBU1": "REGCB1",
+    "REGCCU1": "REGCC1",
     "REECAU1": "REECA1",
     "REECBU1": "REECB1",
     "REECCU1": "REECC1",

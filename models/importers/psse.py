@@ -210,7 +210,7 @@ def _take_impedances(grid: StaticGrid, names: Sequence[str], dynamics: Dynamics)
     sources = keys_of(SOURCE)
     for unit, name in zip(grid.units, names, strict=True):
         control = dynamics.converters.get(name, {}).get("control", {})
-        if control.get("kind") in sources or control.get("REGCB") == 1.0:
+        if control.get("kind") in sources or 1.0 in (control.get("REGCB"), control.get("REGCC")):
             control |= {"Re": max(unit.r, 0.0), "Xe": unit.x}
 
 

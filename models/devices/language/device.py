@@ -81,7 +81,7 @@ KINDS: dict[str, Kind] = {
         ("pref", "qref"),
         "active current `ip` and reactive current `iq` of a converter, pu of its base",
         ("iq",),
-        ("Lvpnt0", "Lvpnt1", "Volim", "Khv", "Iolim", "REGCB", "Re", "Xe", "plant_Rc", "plant_Xc"),
+        ("Lvpnt0", "Lvpnt1", "Volim", "Khv", "Iolim", "REGCB", "REGCC", "Re", "Xe", "plant_Rc", "plant_Xc"),
     ),
     "hvdc": Kind(
         {
