@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import sys
 from collections import Counter
 from collections.abc import Callable
 
@@ -89,6 +90,15 @@ class FmuLog(Log):
             self.lines.append((line[0], line[1], " ".join(line[2].split())))
         else:
             self.beyond += 1
+
+
+class SpokenLog(FmuLog):
+    """Log lines that a worker process writes down at once: after a crash nobody could ask for them."""
+
+    def add(self, status: int, message: str) -> None:
+        """Take one message of the FMU."""
+        print(message, file=sys.stderr, flush=True)
+        super().add(status, message)
 
 
 def _when(before: str, time_s: float | None) -> str:

@@ -35,7 +35,7 @@ from interarea.models.files import temporary_root
 from interarea.models.processes import end_with_parent
 
 from ..errors import ScenarioError, StepError
-from .fmu_log import FmuLog
+from .fmu_log import FmuLog, SpokenLog
 from .instances import FmuParticipant, Value
 from .real_code import ServedRealCode
 
@@ -357,20 +357,12 @@ def _death(code: int) -> str:
         return f"signal {-code}"
 
 
-class _Spoken(FmuLog):
-    """Log lines that are written down at once: after a crash nobody could ask for them."""
-
-    def add(self, status: int, message: str) -> None:
-        print(message, file=sys.stderr, flush=True)
-        super().add(status, message)
-
-
 class _Served(FmuParticipant):
     """The instance in the worker."""
 
     def __init__(self, name: str, path: str) -> None:
         super().__init__(name, FmuFile(Path(path)))
-        self.log = _Spoken(name, lambda: self.now_s)
+        self.log = SpokenLog(name, lambda: self.now_s)
 
     def close(self) -> None:
         """End the instance, and the file that this process has opened."""

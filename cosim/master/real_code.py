@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from interarea.fmu_build.errors import FmuFileError
 from interarea.fmu_build.open.ports import Description, Port
-from interarea.fmu_build.open.real_code import ERROR, MESSAGE, RealCode, RealCodeLibrary, text_of
+from interarea.fmu_build.open.real_code import ERROR, OK, TEXT, RealCode, RealCodeLibrary, text_of
 
-from ..errors import GraphError, StepError, nearest
-from .fmu_log import FmuLog
+from ..errors import GraphError, StepError
+from .fmu_log import SpokenLog
 from .instances import Value
 
 _SLACK = 1e-9  #: of a sample time: instants this close are the same
@@ -23,14 +23,19 @@ class ServedRealCode:
     def __init__(self, name: str, path: str) -> None:
         self.name = name
         self.library = library = RealCodeLibrary(Path(path))
-        inputs = tuple(Port(p.name, description=p.description) for p in library.inputs)
-        outputs = tuple(Port(p.name, discrete=True, description=p.description) for p in library.outputs)
+        step_s = library.info.sample_time
+        if not step_s > 0.0:
+            raise FmuFileError(f"{path}: its sample time is {step_s:g} s, allowed: above 0")
+        inputs = tuple(Port(p.name, description=p.description) for p in library.inputs if p.type != TEXT)
+        outputs = (p for p in library.outputs if p.type != TEXT)
+        held = tuple(Port(p.name, discrete=True, description=p.description) for p in outputs)
         title = text_of(library.info.name)
-        self.description = Description(inputs, outputs, {}, input_order=3, saves_state=True, title=title)
+        self.description = Description(inputs, held, {}, input_order=3, saves_state=True, title=title)
         self.stops_early = False
-        self.log = FmuLog(name, lambda: self.time_s)
+        self.log = SpokenLog(name, lambda: self.time_s)
         self.time_s: float | None = None
-        self._model = RealCode(self.library)
+        self._model = RealCode(library)
+        self._begun = False
         self._start: Mapping[str, Value] = {}
         self._bound: tuple[str, ...] = ()
         self._poly: dict[str, list[float]] = {}
@@ -41,11 +46,10 @@ class ServedRealCode:
 
     def set_start(self, start: Mapping[str, Value]) -> None:
         """Take values of parameters, inputs and outputs for the next `begin`."""
-        library = self.library
-        names = [p.name for p in (*library.parameters, *library.inputs, *library.outputs)]
-        for key in start:
-            if key not in names:
-                raise GraphError(f"{self.name}: no {key!r} in {library.path.name}; {nearest(key, names)}")
+        try:
+            RealCode(self.library, start)
+        except FmuFileError as error:
+            raise GraphError(f"{self.name}: {error}") from None
         self._start = start
 
     def bind(self, inputs: tuple[str, ...], slopes: tuple[str, ...]) -> None:
@@ -54,11 +58,8 @@ class ServedRealCode:
 
     def begin(self, start_s: float, stop_s: float) -> None:
         """Make a new instance with its start values."""
-        model = self._model = RealCode(self.library)
-        for key, value in self._start.items():
-            for values in (model.parameters, model.inputs, model.outputs):
-                if key in values:
-                    values[key] = value
+        self.close()
+        self._model, self._begun = RealCode(self.library, self._start), True
         self.time_s = self._origin = start_s
         self._sample = 0
         self._poly = {}
@@ -92,11 +93,11 @@ class ServedRealCode:
         """Read the outputs; they have no slopes."""
         self.y = [self._model.outputs[p.name] for p in self.description.outputs]
 
-    def save(self) -> tuple[bytes, int, float | None, dict[str, list[float]]]:
+    def save(self) -> tuple[Any, ...]:
         """Return a copy of the state."""
         return self._model.snapshot(), self._sample, self.time_s, dict(self._poly)
 
-    def restore(self, state: tuple[bytes, int, float | None, dict[str, list[float]]]) -> None:
+    def restore(self, state: tuple[Any, ...]) -> None:
         """Go back to a copy."""
         snapshot, self._sample, self.time_s, poly = state
         self._poly = dict(poly)
@@ -106,12 +107,14 @@ class ServedRealCode:
         """Nothing to free."""
 
     def close(self) -> None:
-        """End the instance."""
-        self._model.call("Model_Terminate")
+        """End the instance that has begun, if any."""
+        if self._begun:
+            self._model.call("Model_Terminate")
+        self._begun = False
 
     def _call(self, name: str) -> None:
         code, at, text = self._model.call(name, self.time_s), self.time_s, self._model.text()
-        if code == MESSAGE and text:
-            print(text, file=sys.stderr, flush=True)
         if code >= ERROR:
             raise StepError(f"return code {code}", instance=self.name, call=name, time_s=at, last_log=text)
+        if code > OK and text:
+            self.log.add(OK, text)

@@ -15,7 +15,7 @@ from ..errors import FmuFileError
 from ..finding import Report
 from ..open.description import ModelDescription
 from ..open.fmu_file import host_folders
-from ..open.images import FOLDERS
+from ..open.images import FOLDERS, Image
 
 TIMEOUT_S = 120.0  #: for the topics of one process
 _TOPICS = (
@@ -61,12 +61,21 @@ def run_topics(todo: list[list[str]], folder: Path, report: Report, timeout_s: f
             todo = [t for t in todo if t[0] != last[0]]
 
 
-def _binary(folder: Path, identifier: str) -> Path | None:
+def _folders_here() -> tuple[str, ...]:
+    """`host_folders`, none where no binary is made for this machine."""
     try:
-        names = host_folders()
+        return host_folders()
     except FmuFileError:
-        return None
-    files = (folder / "binaries" / name / (identifier + FOLDERS[name][2]) for name in names)
+        return ()
+
+
+def loadable_here(image: Image) -> bool:
+    """Return whether this machine can load a library."""
+    return any(FOLDERS[name][:2] == (image.format, image.machine) for name in _folders_here())
+
+
+def _binary(folder: Path, identifier: str) -> Path | None:
+    files = (folder / "binaries" / name / (identifier + FOLDERS[name][2]) for name in _folders_here())
     return next((file for file in files if file.is_file()), None)
 
 

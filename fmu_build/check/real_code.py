@@ -6,7 +6,6 @@ finding: a second Model_Outputs at the same time may go on, Model_Iterate may ch
 
 from __future__ import annotations
 
-import contextlib
 import ctypes
 import math
 import re
@@ -14,16 +13,15 @@ import sys
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-from ..errors import FmuFileError
 from ..finding import Report
-from ..open.fmu_file import host_folders
-from ..open.images import FOLDERS, ImageError, read_image
-from ..open.real_code import ERROR, REQUIRED, RealCode, RealCodeLibrary, Values
+from ..open.images import ImageError, read_image
+from ..open.real_code import ERROR, REQUIRED, TEXT, RealCode, RealCodeLibrary, Values, structure
+from .load import loadable_here
 from .runs import Tell
 
 INTERFACE = "DLL"
 _STEPS = 40
-_GUARD = b"\xa5" * 64  #: beside each array of states
+_UNWRITTEN = 0xA5  #: bytes between outputs
 _Topic = Callable[[RealCodeLibrary, Tell], None]
 _Swing = tuple[float, float]  #: mean and amplitude of the inputs
 _NEAR_ONE: _Swing = (1.0, 0.1)
@@ -50,50 +48,53 @@ def check_library(path: Path, report: Report) -> bool:
     if missing:
         reason = f"no IEEE/CIGRE DLL: it does not have {', '.join(missing)}"
         report.add("DLL functions", path.name, reason, "export them under these names, as C functions")
-    loads = False
-    with contextlib.suppress(FmuFileError):  # a machine that no binary is made for
-        loads = any(FOLDERS[name][:2] == (image.format, image.machine) for name in host_folders())
+    loads = loadable_here(image)
     if not loads:
         system = _SYSTEMS[image.format]
         report.not_run.append(f"a {bits}-bit library for {system} ({image.machine}) cannot be loaded here")
     return loads and not missing
 
 
-def _run(model: RealCode, steps: Iterable[int], swing: _Swing) -> list[bytes]:
-    """Outputs after each call of Model_Outputs."""
-    return [_step(model, k, swing) for k in steps]
+class _Tool(RealCode):
+    """An instance as a tool drives it, begun: `code` is the worst return code of that.
 
+    times : how often it is asked to check and to initialise. fill : bytes between the ports that it reads.
+    """
 
-def _step(model: RealCode, k: int, swing: _Swing) -> bytes:
-    _excite(model, k, swing)
-    model.call("Model_Outputs", k * model.library.info.sample_time)
-    return bytes(model.outputs.structure)
+    def __init__(
+        self, library: RealCodeLibrary, swing: _Swing = _NEAR_ONE, *, times: int = 1, fill: int = 0
+    ) -> None:
+        super().__init__(library)
+        self.swing, self.step_s = swing, library.info.sample_time
+        self.start(times, fill)
 
+    def start(self, times: int = 1, fill: int = 0) -> None:
+        """Do what a tool does before the first step."""
+        _pad(self.inputs, fill)
+        _pad(self.parameters, fill)
+        self.excite(0)
+        self.call("Model_FirstCall", 0.0)
+        self.code = max(self.call("Model_CheckParameters") for _ in range(times))
+        for _ in range(times):
+            self.outputs.buffer[:] = bytes(len(self.outputs.buffer))
+            self.code = max(self.code, self.call("Model_Initialize"))
+        _pad(self.outputs, _UNWRITTEN)
 
-def _excite(model: RealCode, k: int, swing: _Swing) -> None:
-    for i, port in enumerate(model.library.inputs):
-        if port.type != 10:
-            model.inputs[port.name] = swing[0] + swing[1] * math.sin(0.3 * k + 1.0 + i)
+    def excite(self, k: int) -> None:
+        """Set the inputs of step k."""
+        for i, port in enumerate(self.library.inputs):
+            if port.type != TEXT:
+                self.inputs[port.name] = self.swing[0] + self.swing[1] * math.sin(0.3 * k + 1.0 + i)
 
+    def step(self, k: int) -> bytes:
+        """Return the outputs after step k."""
+        self.excite(k)
+        self.code = self.call("Model_Outputs", k * self.step_s)
+        return bytes(self.outputs.buffer)
 
-def _start(model: RealCode, swing: _Swing, times: int = 1, fill: int = 0) -> int:
-    """What a tool calls before the first step; `fill`: bytes between the ports, which mean nothing."""
-    for values in (model.inputs, model.outputs, model.parameters):
-        _pad(values, fill)
-    _excite(model, 0, swing)
-    model.call("Model_FirstCall", 0.0)
-    code = max(model.call("Model_CheckParameters") for _ in range(times))
-    outputs = model.outputs.structure
-    for _ in range(times):
-        ctypes.memset(ctypes.addressof(outputs), 0, ctypes.sizeof(outputs))
-        code = max(code, model.call("Model_Initialize"))
-    return code
-
-
-def _started(library: RealCodeLibrary, swing: _Swing, times: int = 1, fill: int = 0) -> RealCode:
-    model = RealCode(library)
-    _start(model, swing, times, fill)
-    return model
+    def run(self, steps: Iterable[int] = range(1, _STEPS)) -> list[bytes]:
+        """Return the outputs after each step."""
+        return [self.step(k) for k in steps]
 
 
 def _gaps(values: Values) -> list[int]:
@@ -101,12 +102,12 @@ def _gaps(values: Values) -> list[int]:
     own = type(values.structure)
     fields = [getattr(own, name) for name, *_ in own._fields_]
     used = {at for field in fields for at in range(field.offset, field.offset + field.size)}
-    return [at for at in range(ctypes.sizeof(own)) if at not in used]
+    return [at for at in range(len(values.buffer)) if at not in used]
 
 
 def _pad(values: Values, fill: int) -> None:
     for at in _gaps(values):
-        ctypes.memset(ctypes.addressof(values.structure) + at, fill, 1)
+        values.buffer[at] = fill
 
 
 def description(library: RealCodeLibrary, tell: Tell) -> None:
@@ -115,12 +116,12 @@ def description(library: RealCodeLibrary, tell: Tell) -> None:
     for group in (library.inputs, library.outputs, library.parameters):
         names = [p.name for p in group]
         for name in names:
-            if not re.fullmatch(r"[A-Za-z_]\w*", name, re.ASCII):
+            if not (name.isascii() and name.isidentifier()):
                 tell("DLL names", repr(name), "is no C identifier", "use letters, digits and _ only")
             elif names.count(name) > 1:
                 tell("DLL names", name, "is used twice", "give each port a name of its own")
     for p in library.parameters:
-        if isinstance(p.start, int | float) and not p.low <= p.start <= p.high:
+        if p.type != TEXT and not p.low <= p.start <= p.high:
             reason = f"default {p.start:g} lies outside {p.low:g} to {p.high:g}"
             tell("DLL ranges", p.name, reason, "put the default into the range")
     if not info.sample_time > 0.0:
@@ -128,24 +129,24 @@ def description(library: RealCodeLibrary, tell: Tell) -> None:
     version = tuple(info.version)
     if version[0] != 1:
         tell("DLL version", INTERFACE, f"is {version}, allowed: 1.x", "write the interface's version")
-    model = RealCode(library)
-    if _start(model, _NEAR_ONE) >= ERROR:
+    model = _Tool(library)
+    if model.code >= ERROR:
         reason = f"refuses its own defaults: {model.text()}"
         tell("DLL start", INTERFACE, reason, "give defaults that it takes")
 
 
 def finite(library: RealCodeLibrary, tell: Tell) -> None:
     """Finite inputs near 1 give finite outputs, or a return code of 2."""
-    model = RealCode(library)
-    if _start(model, _NEAR_ONE) >= ERROR:
+    model = _Tool(library)
+    if model.code >= ERROR:
         return
     reals = [p.name for p in library.outputs if p.type in (8, 9)]
     for k in range(1, 4 * _STEPS):
-        _excite(model, k, _NEAR_ONE if k < 2 * _STEPS else (1.0, 0.5))
-        code = model.call("Model_Outputs", k * library.info.sample_time)
+        model.swing = _NEAR_ONE if k < 2 * _STEPS else (1.0, 0.5)
+        model.step(k)
         bad = [name for name in reals if not math.isfinite(model.outputs[name])]
-        if bad and code < ERROR:
-            reason = f"is {model.outputs[bad[0]]} after finite inputs with return code {code}"
+        if bad and model.code < ERROR:
+            reason = f"is {model.outputs[bad[0]]} after finite inputs with return code {model.code}"
             tell("DLL errors", bad[0], reason, "return 2 with LastErrorMessage")
             return
 
@@ -153,18 +154,9 @@ def finite(library: RealCodeLibrary, tell: Tell) -> None:
 def padding(library: RealCodeLibrary, tell: Tell) -> None:
     """Bytes between the ports of a structure are neither read nor written."""
     for swing in _SWINGS:
-        rows: list[list[bytes]] = []
-        done = ""
-        for fill in (0x00, 0x5A, 0x00):
-            model = _started(library, swing, fill=fill)
-            _pad(model.outputs, fill)
-            gaps = _gaps(model.outputs)
-            row = _run(model, range(1, _STEPS), swing)
-            if any(r[at] != fill for r in row for at in gaps):
-                done = "writes"
-            rows.append([bytes(b for at, b in enumerate(r) if at not in gaps) for r in row])
-        if not done and rows[0] == rows[2] != rows[1]:
-            done = "reads"
+        one, other, again = (_Tool(library, swing, fill=fill).run() for fill in (0x00, 0x5A, 0x00))
+        written = any(row[at] != _UNWRITTEN for row in one for at in _gaps(Values(library.outputs)))
+        done = "writes" if written else "reads" if one == again != other else ""
         if done:
             reason = f"{done} bytes of a structure that lie between its ports"
             tell("DLL alignment", INTERFACE, reason, "lay structures out in natural alignment: no packing")
@@ -172,41 +164,33 @@ def padding(library: RealCodeLibrary, tell: Tell) -> None:
 
 
 def _repeated_start(library: RealCodeLibrary, swing: _Swing) -> bool:
-    once, often = (_run(_started(library, swing, n), range(1, _STEPS), swing) for n in (1, 5))
-    return once == often
-
-
-def _time(library: RealCodeLibrary, swing: _Swing) -> bool:
-    model = _started(library, swing)
-    _run(model, range(1, _STEPS), swing)
-    return bool(model.raw.time == (_STEPS - 1) * library.info.sample_time)
+    return _Tool(library, swing).run() == _Tool(library, swing, times=5).run()
 
 
 def _restart(library: RealCodeLibrary, swing: _Swing) -> bool:
-    model = _started(library, swing)
-    first = _run(model, range(1, _STEPS), swing)
-    _start(model, swing)
-    return _run(model, range(1, _STEPS), swing) == first
+    model = _Tool(library, swing)
+    first = model.run()
+    model.start()
+    return model.run() == first
 
 
 def _two_instances(library: RealCodeLibrary, swing: _Swing) -> bool:
-    alone = _run(_started(library, swing), range(1, _STEPS), swing)
-    beside = (swing[0] * 0.8, swing[1] * 2)
-    one, other = _started(library, swing), _started(library, beside)
+    alone = _Tool(library, swing).run()
+    one, other = _Tool(library, swing), _Tool(library, (swing[0] * 0.8, swing[1] * 2))
     rows = []
     for k in range(1, _STEPS):
-        _step(other, k + 3, beside)
-        rows.append(_step(one, k, swing))
+        other.step(k + 3)
+        rows.append(one.step(k))
     return rows == alone
 
 
 def _snapshot(library: RealCodeLibrary, swing: _Swing) -> bool:
-    model, rest = _started(library, swing), range(_STEPS // 2, _STEPS)
-    _run(model, range(1, _STEPS // 2), swing)
+    model, rest = _Tool(library, swing), range(_STEPS // 2, _STEPS)
+    model.run(range(1, _STEPS // 2))
     saved = model.snapshot()
-    rows = _run(model, rest, swing)
+    rows = model.run(rest)
     model.restore(saved)
-    return _run(model, rest, swing) == rows
+    return model.run(rest) == rows
 
 
 def _compared(same: Callable[[RealCodeLibrary, _Swing], bool], rule: str, reason: str, advice: str) -> _Topic:
@@ -219,12 +203,12 @@ def _compared(same: Callable[[RealCodeLibrary, _Swing], bool], rule: str, reason
 
 def messages(library: RealCodeLibrary, tell: Tell) -> None:
     """The texts of two instances do not lie in one place that the DLL writes to."""
-    models = [_started(library, swing) for swing in _SWINGS]
-    for model, swing in zip(models, _SWINGS, strict=True):
-        _step(model, 1, swing)
-    places = [model.text_addresses() for model in models]
-    for name, at in places[0].items():
-        if at and at == places[1][name] and _writable(at):
+    models = [_Tool(library, swing) for swing in _SWINGS]
+    for model in models:
+        model.step(1)
+    for name, field in (("LastErrorMessage", "error"), ("LastGeneralMessage", "message")):
+        at, other = (getattr(model.raw, field) for model in models)
+        if at and at == other and _writable(at):
             reason = "points to one text that all instances share and the DLL writes"
             tell("DLL messages", name, reason, "keep the text of each instance in its own states")
 
@@ -239,36 +223,31 @@ def _writable(address: int) -> bool:
     return False
 
 
-class _Heap(ctypes.Structure):
-    _fields_ = [(f"f{k}", ctypes.c_size_t) for k in range(7)]
-    _fields_ += [("uordblks", ctypes.c_size_t), ("fordblks", ctypes.c_size_t), ("keepcost", ctypes.c_size_t)]
-
-
 def leaks(library: RealCodeLibrary, tell: Tell) -> None:
     """Memory that the DLL takes is given back by Model_Terminate, and none is taken while it steps."""
     mallinfo = getattr(ctypes.CDLL(None), "mallinfo2", None) if sys.platform == "linux" else None
     if mallinfo is None:  # not glibc: nothing counts the bytes in use
         return
-    mallinfo.restype = _Heap
-    model, step_s = RealCode(library), library.info.sample_time
+    sizes = "arena ordblks smblks hblks hblkhd usmblks fsmblks uordblks fordblks keepcost"
+    mallinfo.restype = structure(sizes, ctypes.c_size_t)
+    model = _Tool(library)
 
-    def lives(count: int) -> None:
-        for _ in range(count):
-            _start(model, _NEAR_ONE)
-            model.call("Model_Outputs", step_s)
-            model.call("Model_Terminate")
+    def live(k: int) -> None:
+        model.start()
+        model.call("Model_Outputs", model.step_s)
+        model.call("Model_Terminate")
 
-    def steps(count: int) -> None:
-        for k in range(1, count):
-            model.call("Model_Outputs", k * step_s)
+    def step(k: int) -> None:
+        model.call("Model_Outputs", k * model.step_s)
 
     def growth(what: Callable[[int], None], count: int) -> int:
-        _start(model, _NEAR_ONE)
+        model.start()
         before = mallinfo().uordblks
-        what(count)
+        for k in range(1, count):
+            what(k)
         return int(mallinfo().uordblks) - int(before)
 
-    for name, what in (("an instance started and terminated", lives), ("a call of Model_Outputs", steps)):
+    for name, what in (("an instance started and terminated", live), ("a call of Model_Outputs", step)):
         growth(what, 20)
         lost = growth(what, 400) - growth(what, 100)
         if lost > 300 * 8:
@@ -277,21 +256,14 @@ def leaks(library: RealCodeLibrary, tell: Tell) -> None:
 
 
 def bounds(library: RealCodeLibrary, tell: Tell) -> None:
-    """Nothing is written beside the arrays of states."""
-    info, model, guarded = library.info, RealCode(library), {}
-    sizes = {
-        "int_states": 4 * info.n_int,
-        "float_states": 4 * info.n_float,
-        "double_states": 8 * info.n_double,
-    }
-    for name, size in sizes.items():
-        guarded[name] = ctypes.create_string_buffer(_GUARD + bytes(size) + _GUARD, size + 2 * len(_GUARD))
-        setattr(model.raw, name, ctypes.addressof(guarded[name]) + len(_GUARD))
-    _start(model, _NEAR_ONE)
-    _run(model, range(1, _STEPS), _NEAR_ONE)
-    for name, buffer in guarded.items():
-        if not (buffer.raw.startswith(_GUARD) and buffer.raw.endswith(_GUARD)):
+    """Nothing is written beside the arrays of states, nor the tool's time."""
+    for swing in _SWINGS:
+        model = _Tool(library, swing)
+        model.run()
+        for name in model.overrun():
             tell("DLL states", name, "is written beyond its declared number", "declare as many as it writes")
+        if model.raw.time != (_STEPS - 1) * model.step_s:
+            tell("DLL time", INTERFACE, "Model_Outputs changes Time", "leave Time to the tool")
 
 
 TOPICS: dict[str, _Topic] = {
@@ -304,7 +276,6 @@ TOPICS: dict[str, _Topic] = {
         "Model_Initialize called five times gives another run than called once",
         "start from the arguments alone: tools call it until the release time",
     ),
-    "time": _compared(_time, "DLL time", "Model_Outputs changes Time", "leave Time to the tool"),
     "restart": _compared(
         *(_restart, "DLL restart"),
         "after a run, Model_Initialize at time 0 does not begin the same run",

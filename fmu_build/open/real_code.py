@@ -7,45 +7,48 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Mapping
-from ctypes import POINTER, c_char_p, c_double, c_float, c_int32, c_uint8, c_void_p
-from dataclasses import dataclass, replace
+from ctypes import POINTER, addressof, c_char_p, c_double, c_int32, c_uint8, c_void_p, sizeof, string_at
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from interarea.models.errors import nearest
+
 from ..errors import FmuFileError
 
-#: DataType of the interface -> ctypes type
-_C = "char int8 uint8 int16 uint16 int32 uint32 float double char_p"
+#: DataType of the interface -> ctypes type; a char is a number here
+_C = "byte int8 uint8 int16 uint16 int32 uint32 float double char_p"
 TYPES: dict[int, Any] = {k: getattr(ctypes, f"c_{name}") for k, name in enumerate(_C.split(), 1)}
+TEXT = 10  #: the only DataType that is no number
 OK, MESSAGE, ERROR = 0, 1, 2
-#: functions that every tool calls, and those that a library may leave out
+#: functions that every tool calls; a library may leave out the others
 REQUIRED = ("Model_GetInfo", "Model_CheckParameters", "Model_Initialize", "Model_Outputs", "Model_Terminate")
-OPTIONAL = ("Model_FirstCall", "Model_Iterate", "Model_PrintInfo")
+_GUARD = b"\xa5" * 64  #: beside each array of states
 
 
 class _Value(ctypes.Union):
     _fields_ = [(f"t{k}", t) for k, t in TYPES.items()]
 
 
-def _structure(*fields: Any) -> Any:
+def structure(*fields: Any) -> Any:
     """Return a structure in natural alignment; fields : names with a space between, their type, names, ..."""
     named = [(name, kind) for names, kind in zip(*2 * [iter(fields)], strict=True) for name in names.split()]
     return type("Structure", (ctypes.Structure,), {"_fields_": named})
 
 
-_Signal = _structure("name description unit", c_char_p, "type width", c_int32)
-_Parameter = _structure(
+_Signal = structure("name description unit", c_char_p, "type width", c_int32)
+_Parameter = structure(
     *("name group description unit", c_char_p, "type fixed", c_int32, "start min max", _Value)
 )
-Info = _structure(
+Info = structure(
     *("version", c_uint8 * 4, "name model_version description general created creator", c_char_p),
     *("modified modified_by comment history", c_char_p, "sample_time", c_double, "mode", c_uint8),
     *("n_inputs", c_int32, "inputs", POINTER(_Signal), "n_outputs", c_int32, "outputs", POINTER(_Signal)),
     *("n_parameters", c_int32, "parameters", POINTER(_Parameter), "n_int n_float n_double", c_int32),
 )
-_Instance = _structure(
+_Instance = structure(
     *("inputs outputs parameters", c_void_p, "time", c_double, "mode", c_uint8),
-    *("error message", c_char_p, "int_states float_states double_states", c_void_p),
+    *("error message int_states float_states double_states", c_void_p),
 )
 
 
@@ -70,17 +73,13 @@ def text_of(value: bytes | None) -> str:
 
 
 def _port(p: Any) -> Port:
-    port = Port(text_of(p.name), text_of(p.description), text_of(p.unit), p.type, getattr(p, "width", 1))
-    if not isinstance(p, _Parameter):
-        return port
-    start, low, high = (
-        getattr(v, f"t{p.type}" if p.type in TYPES else "t9") for v in (p.start, p.min, p.max)
-    )
-    if p.type == 10:
+    texts = (text_of(p.name), text_of(p.description), text_of(p.unit))
+    if isinstance(p, _Signal):
+        return Port(*texts, p.type, p.width)
+    start, low, high = (getattr(v, f"t{p.type}", None) for v in (p.start, p.min, p.max))
+    if p.type == TEXT:
         start, low, high = text_of(start), None, None
-    elif p.type == 1:
-        start, low, high = ord(start), ord(low), ord(high)
-    return replace(port, fixed=bool(p.fixed), start=start, low=low, high=high)
+    return Port(*texts, p.type, 1, bool(p.fixed), start, low, high)
 
 
 class RealCodeLibrary:
@@ -102,83 +101,90 @@ class RealCodeLibrary:
         if missing:
             raise FmuFileError(f"{path}: no IEEE/CIGRE DLL: it does not have {', '.join(missing)}")
         self._c.Model_GetInfo.restype = POINTER(Info)
-        for name in (*REQUIRED[1:], *OPTIONAL[:2]):
-            if hasattr(self._c, name):
-                getattr(self._c, name).argtypes = [c_void_p]
-                getattr(self._c, name).restype = c_int32
         info = self._c.Model_GetInfo()
         if not info:
             raise FmuFileError(f"{path}: Model_GetInfo gives no description")
         i = self.info = info.contents
-        self.inputs = tuple(map(_port, i.inputs[: i.n_inputs]))
-        self.outputs = tuple(map(_port, i.outputs[: i.n_outputs]))
-        self.parameters = tuple(map(_port, i.parameters[: i.n_parameters]))
-        ports = (*self.inputs, *self.outputs, *self.parameters)
-        bad = [p.name for p in ports if p.type not in TYPES or p.width < 1]
+        if min(i.n_int, i.n_float, i.n_double) < 0:
+            raise FmuFileError(f"{path}: Model_GetInfo gives a negative number of states")
+        self.inputs = self._ports(i.n_inputs, i.inputs)
+        self.outputs = self._ports(i.n_outputs, i.outputs)
+        self.parameters = self._ports(i.n_parameters, i.parameters)
+        self.ports = (*self.parameters, *self.inputs, *self.outputs)
+        bad = [p.name for p in self.ports if p.type not in TYPES or p.width < 1]
         if bad:
             raise FmuFileError(f"{path}: {', '.join(bad)}: type or width that the interface does not know")
 
+    def _ports(self, count: int, array: Any) -> tuple[Port, ...]:
+        if count < 0 or (count and not array):
+            raise FmuFileError(f"{self.path}: Model_GetInfo gives {count} ports, or none in their list")
+        return tuple(map(_port, array[:count]))
+
     def call(self, name: str, instance: ctypes.Structure) -> int:
         """Call a function of an instance; one that is left out does nothing."""
-        if not hasattr(self._c, name):
-            return OK
-        return int(getattr(self._c, name)(ctypes.byref(instance)))
+        function = getattr(self._c, name, None)
+        return OK if function is None else int(function(ctypes.byref(instance)))
 
 
 class Values:
     """A structure of ports in natural alignment, by name; of an array the first element."""
 
     def __init__(self, ports: tuple[Port, ...]) -> None:
-        types = [TYPES[p.type] * p.width if p.width > 1 else TYPES[p.type] for p in ports]
-        self.structure = _structure(*(x for k, kind in enumerate(types) for x in (f"f{k}", kind)))()
-        self._fields = {p.name: f"f{k}" for k, p in enumerate(ports)}
-        self._texts: list[bytes] = []
+        kind = structure(*(x for k, p in enumerate(ports) for x in (f"f{k}", TYPES[p.type] * p.width)))
+        self.buffer = bytearray(sizeof(kind))
+        self.structure = kind.from_buffer(self.buffer)
+        self._arrays = {p.name: getattr(self.structure, f"f{k}") for k, p in enumerate(ports)}
 
     def __setitem__(self, name: str, value: float | str) -> None:
-        field = self._fields[name]
-        current = getattr(self.structure, field)
+        array = self._arrays[name]
         if isinstance(value, str):
-            self._texts.append(value.encode())  # the structure only points to it
-            setattr(self.structure, field, self._texts[-1])
-        elif isinstance(current, ctypes.Array):
-            current[0] = value
+            array[0] = value.encode()
         else:
-            setattr(self.structure, field, int(value) if isinstance(current, int | bytes) else value)
+            array[0] = int(value) if isinstance(array[0], int) else value
 
     def __getitem__(self, name: str) -> float:
-        value = getattr(self.structure, self._fields[name])
-        return float(value[0] if isinstance(value, ctypes.Array) else value)
+        return float(self._arrays[name][0])
 
     def __contains__(self, name: str) -> bool:
-        return name in self._fields
+        return name in self._arrays
 
 
 class RealCode:
     """One instance: the arrays that a tool provides, parameters at their defaults.
 
-    values : parameters by name, in place of the defaults.
+    start : values of parameters, inputs and outputs by name.
 
     Raises
     ------
-    FmuFileError : a parameter that the DLL does not have.
+    FmuFileError : a name that no port has, or a value that is not of its type.
     """
 
-    def __init__(self, library: RealCodeLibrary, values: Mapping[str, float | str] | None = None) -> None:
+    def __init__(self, library: RealCodeLibrary, start: Mapping[str, float | str] | None = None) -> None:
         self.library, info = library, library.info
         self.inputs, self.outputs = Values(library.inputs), Values(library.outputs)
         self.parameters = Values(library.parameters)
-        self.ints = (c_int32 * max(info.n_int, 1))()
-        self.floats = (c_float * max(info.n_float, 1))()
-        self.doubles = (c_double * max(info.n_double, 1))()
-        unknown = sorted(name for name in values or {} if name not in self.parameters)
-        if unknown:
-            allowed = ", ".join(p.name for p in library.parameters) or "none"
-            raise FmuFileError(f"{library.path}: no parameter {', '.join(unknown)}; allowed: {allowed}")
+        groups = (self.inputs, self.outputs, self.parameters)
         for p in library.parameters:
-            self.parameters[p.name] = (values or {}).get(p.name, p.start)
-        structures = (v.structure for v in (self.inputs, self.outputs, self.parameters))
-        states = (ctypes.addressof(array) for array in (self.ints, self.floats, self.doubles))
-        self.raw = _Instance(*map(ctypes.addressof, structures), 0.0, 1, None, None, *states)
+            self.parameters[p.name] = p.start
+        for name, value in (start or {}).items():
+            places = [values for values in groups if name in values]
+            if not places:
+                known = nearest(name, (p.name for p in library.ports))
+                raise FmuFileError(f"no {name!r} in {library.path.name}; {known}")
+            try:
+                for values in places:
+                    values[name] = value
+            except (TypeError, ValueError, OverflowError) as error:
+                wanted = "a number" if isinstance(value, str) else "a text, or a number of the port's type"
+                raise FmuFileError(f"{library.path.name}: {name} = {value!r}, allowed: {wanted}") from error
+        sizes = {
+            "IntStates": 4 * info.n_int,
+            "FloatStates": 4 * info.n_float,
+            "DoubleStates": 8 * info.n_double,
+        }
+        self.states = {name: bytearray(_GUARD + bytes(size) + _GUARD) for name, size in sizes.items()}
+        states = (addressof(c_uint8.from_buffer(array, len(_GUARD))) for array in self.states.values())
+        self.raw = _Instance(*(addressof(v.structure) for v in groups), 0.0, 1, None, None, *states)
 
     def call(self, name: str, time_s: float | None = None) -> int:
         """Call a function of the interface at a time; return 0, 1 (a message) or 2 (an error)."""
@@ -188,23 +194,18 @@ class RealCode:
 
     def text(self) -> str:
         """Return what the last call has said."""
-        return text_of(self.raw.error) or text_of(self.raw.message)
+        texts = [text_of(string_at(at)) for at in (self.raw.error, self.raw.message) if at]
+        return next(filter(None, texts), "")
 
-    def text_addresses(self) -> dict[str, int]:
-        """Return where the texts of errors and messages lie, 0 where there is none."""
-        names = {"LastErrorMessage": _Instance.error, "LastGeneralMessage": _Instance.message}
-        return {n: c_void_p.from_buffer(self.raw, field.offset).value or 0 for n, field in names.items()}
+    def overrun(self) -> list[str]:
+        """Return which arrays of states were written beside."""
+        return [n for n, a in self.states.items() if not (a.startswith(_GUARD) and a.endswith(_GUARD))]
 
-    def snapshot(self) -> bytes:
+    def snapshot(self) -> list[bytes]:
         """Return states and outputs: all that a tool stores of an instance."""
-        return b"".join(map(bytes, self._stored()))
+        return [*map(bytes, self.states.values()), bytes(self.outputs.buffer)]
 
-    def restore(self, snapshot: bytes) -> None:
+    def restore(self, snapshot: list[bytes]) -> None:
         """Continue from a snapshot of this or another process."""
-        at = 0
-        for array in self._stored():
-            ctypes.memmove(ctypes.addressof(array), snapshot[at:], ctypes.sizeof(array))
-            at += ctypes.sizeof(array)
-
-    def _stored(self) -> tuple[Any, ...]:
-        return (self.ints, self.floats, self.doubles, self.outputs.structure)
+        for array, saved in zip((*self.states.values(), self.outputs.buffer), snapshot, strict=True):
+            memoryview(array)[:] = saved

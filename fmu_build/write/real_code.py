@@ -6,8 +6,9 @@ the block's record into the place that the library holds for it: nothing is comp
 
 from __future__ import annotations
 
+import itertools
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
@@ -16,8 +17,8 @@ import numpy as np
 import numpy.typing as npt
 
 from interarea.models.blocks.binary_table import pack_record
-from interarea.models.blocks.container import CHAIN_KINDS, chain_sources, shown_name
-from interarea.models.blocks.variables import Block, Role, Variable
+from interarea.models.blocks.container import CHAIN_KINDS, chain_sources
+from interarea.models.blocks.variables import Block, Variable
 from interarea.models.files import write_whole
 
 from ..errors import BuildError
@@ -25,15 +26,16 @@ from .compile import PLATFORMS, Platform, compile_for
 from .description_xml import integer_range, product_version, record_entries
 from .sources import fmi_sources, gather_sources, record_source
 
-_C = Path(__file__).resolve().parents[1] / "c"
-_FRONT = _C / "dll" / "real_code.c"
+_FRONT = Path(__file__).resolve().parents[1] / "c" / "dll" / "real_code.c"
 _LAYER = ("fmi2_common", "fmi2_cs", "fmi2_values", "instance", "placement", "solver")
 _MARK = b"interarea-record"
-_LEAST_ROOM = 1 << 14  #: bytes, CAPACITY of c/dll/real_code.c
-MOST_MEMBERS, MOST_SIGNALS, MOST_PARAMETERS = 24, 512, 1024  #: c/dll/real_code.c
+_LEAST_ROOM = 1 << 14  #: for a record, bytes
+MOST_MEMBERS = 24  #: c/dll/real_code.c
 UNBOUNDED = 1e30  #: range of a parameter that has none: tools want a number
+_ROLES = ("input", "output", "parameter")
+_Row = tuple[int, int, int, int]
+_Feed = tuple[_Row, _Row]  #: from, to
 _ENTRY = re.compile(r"[A-Za-z_]\w*\[\d+,\d+\]")  #: of a matrix
-_Row = tuple[int, int, int, int]  #: Port of c/dll/real_code.c
 
 #: Where such a library runs, by name; tools with 32 bits (ATP) take win32.
 DLL_PLATFORMS: dict[str, Platform] = {
@@ -60,11 +62,14 @@ class Chain:
 
 
 class _Port(NamedTuple):
-    """A variable that the DLL shows, the name it has there, and what the C file reads of it."""
+    """A variable of a member, its name in the DLL, and what the C file reads of it, a Port there."""
 
     shown: str
     variable: Variable
-    row: _Row
+    integer: bool
+    reference: int
+    fixed: bool  #: it counts at the start only
+    member: int
 
 
 def build_dll(
@@ -86,21 +91,19 @@ def build_dll(
 
     Raises
     ------
-    BuildError : an unknown platform, a sample time that is not positive, a block that is a whole plant or has
-        more ports than the interface's tables hold, or the compiler's message.
+    BuildError : an unknown platform, a sample time that is not positive, a block that is a whole plant, or
+        the compiler's message.
     """
     suffix = suffix_of(platform)
     if not 0.0 < sample_time_s < 1e6:
-        raise BuildError(f"sample time of a DLL: {sample_time_s:g} s, allowed: above 0")
-    to, path = DLL_PLATFORMS[platform], Path(path)
+        raise BuildError(f"sample time of a DLL: {sample_time_s:g} s, allowed: above 0, below 1e6")
+    path = Path(path)
     if path.is_dir():
         path = path / f"{block.name}{suffix}"
     record = pack_record(entries_of(block, sample_time_s))
-    sources = chain_sources() if isinstance(block, Chain) else block.sources
-    library = compile_for(
-        f"{block.kind}-dll", dll_sources(sources, len(record)), to, cache=cache
-    ).read_bytes()
-    return write_whole(path, completed(library, record))
+    sources = dll_sources(chain_sources() if isinstance(block, Chain) else block.sources, len(record))
+    library = compile_for(f"{block.kind}-dll", sources, DLL_PLATFORMS[platform], cache=cache)
+    return write_whole(path, completed(library.read_bytes(), record))
 
 
 def suffix_of(platform: str) -> str:
@@ -122,10 +125,10 @@ def completed(library: bytes, record: bytes) -> bytes:
     ------
     BuildError : no such place, or two.
     """
-    if library.count(_MARK) != 1:
-        raise BuildError(f"the library has {library.count(_MARK)} places for a record, wanted: 1")
-    begin = library.index(_MARK) + len(_MARK)
-    return library[:begin] + record + library[begin + len(record) :]
+    head, mark, rest = library.partition(_MARK)
+    if not mark or _MARK in rest:
+        raise BuildError("the compiled library does not have one place for a record; clear the cache")
+    return head + mark + record + rest[len(record) :]
 
 
 def dll_sources(block: Sequence[Path], record_size: int) -> dict[str, bytes]:
@@ -138,9 +141,7 @@ def dll_sources(block: Sequence[Path], record_size: int) -> dict[str, bytes]:
         room *= 2
     layer = tuple(p for p in fmi_sources() if p.stem in _LAYER)
     sources = gather_sources((*layer, _FRONT, *block, record_source()))
-    sources[_FRONT.name] = sources[_FRONT.name].replace(
-        b"CAPACITY = %d " % _LEAST_ROOM, b"CAPACITY = %d " % room
-    )
+    sources[_FRONT.name] = b"#define CAPACITY %d\n" % room + sources[_FRONT.name]
     if any(path.name == "chain.c" for path in block):  # whose members are of both kinds
         sources["instance.h"] = b"#define RECORDS_SAY_SAMPLED\n" + sources["instance.h"]
     name = "fmi2Functions.h"
@@ -159,78 +160,58 @@ def port_name(name: str) -> str:
     return re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_")
 
 
-def _as_chain(block: Block | Chain) -> Chain:
-    return block if isinstance(block, Chain) else Chain(block.name, {block.name: block})
+def _ports(chain: Chain, alone: bool) -> dict[str, _Port]:
+    """Return inputs, outputs and parameters of the members by "member.name"; `alone`: those keep their names.
 
-
-def _ports(block: Block | Chain) -> dict[Role, list[_Port]]:
-    """Inputs, outputs and parameters that the DLL shows.
-
-    What a connection feeds is no input, and the entries of matrices are no parameters: they are the design.
+    The entries of matrices are no parameters: they are the design.
     """
-    ports: dict[Role, list[_Port]] = {"input": [], "output": [], "parameter": []}
-    chain = _as_chain(block)
-    hidden = {target for _, target in chain.connections}
-    for member, b in chain.members.items():
-        for role, of_role in ports.items():
-            for v in (*b.table.of_role(role), *b.table.of_role(role, integers=True)):
-                name = f"{member}.{v.name}"
-                if name not in hidden and not (role == "parameter" and _ENTRY.fullmatch(v.name)):
-                    if role != "parameter":
-                        kept = b.kind in ("controller", "supervisor")
-                        name = shown_name(member, "controller" if kept else "channel", v)
-                    of_role.append(_Port(name if chain is block else v.name, v, _row(chain, member, v)))
+    ports = {}
+    for k, (member, block) in enumerate(chain.members.items()):
+        keeps = block.kind in ("controller", "supervisor")
+        for v in block.table:
+            own = alone or (keeps and v.role != "parameter" and v.type == "Real")
+            if v.role in _ROLES and not (v.role == "parameter" and _ENTRY.fullmatch(v.name)):
+                fixed = v.role == "parameter" and not v.tunable
+                reference, shown = (
+                    block.table.value_reference(v.name),
+                    v.name if own else f"{member}.{v.name}",
+                )
+                ports[f"{member}.{v.name}"] = _Port(shown, v, v.type != "Real", reference, fixed, k)
     return ports
 
 
-def _row(chain: Chain, member: str, v: Variable) -> _Row:
-    """Whether it is an integer, its value reference, whether it counts at the start only, its member."""
-    fixed = v.role == "parameter" and not v.tunable
-    reference = chain.members[member].table.value_reference(v.name)
-    return v.type != "Real", reference, fixed, list(chain.members).index(member)
-
-
-def _feeds(chain: Chain, inputs: Sequence[_Port]) -> list[tuple[_Row, _Row]]:
-    """Of each input of the members what feeds it, the tool's k-th value or an output, and the input.
+def _wires(chain: Chain, ports: Mapping[str, _Port]) -> Iterator[_Feed]:
+    """Give what each connection feeds.
 
     Raises
     ------
-    BuildError : an end that does not exist, one that leads backwards, or ports of two types.
+    BuildError : an end that does not exist or is fed twice, one that leads backwards, or ports of two types.
     """
-    feeds: list[tuple[_Row, _Row]] = [((0, k, 0, -1), port.row) for k, port in enumerate(inputs)]
-    for source, target in chain.connections:
-        rows = []
-        for end, role in ((source, "output"), (target, "input")):
-            member, _, port = end.partition(".")
-            variables = chain.members[member].table if member in chain.members else ()
-            v = next((v for v in variables if (v.name, v.role) == (port, role)), None)
-            if v is None:
-                raise BuildError(f"{chain.name}: {source} -> {target}: {end} is no {role} of a member")
-            rows.append(_row(chain, member, v))
-        if not (rows[0][3] < rows[1][3] and rows[0][0] == rows[1][0]):
-            raise BuildError(
-                f"{chain.name}: {source} -> {target} leads backwards or joins two types, allowed: "
-                "from a member to a later one"
-            )
-        feeds.append((rows[0], rows[1]))
-    return feeds
+    fed = [target for _, target in chain.connections]
+    for connection in chain.connections:
+        arrow = " -> ".join(connection)
+        for end, role in zip(connection, ("output", "input"), strict=True):
+            if end not in ports or ports[end].variable.role != role:
+                raise BuildError(f"{chain.name}: {arrow}: {end} is no {role} of a member")
+        source, target = (ports[end] for end in connection)
+        if not (source.member < target.member and source.integer == target.integer):
+            allowed = "allowed: from a member to a later one"
+            raise BuildError(f"{chain.name}: {arrow} leads backwards or joins two types, {allowed}")
+        if fed.count(connection[1]) > 1:
+            raise BuildError(f"{chain.name}: {connection[1]} is fed twice, allowed: by one output")
+        yield source[2:], target[2:]
 
 
-def _check(block: Block | Chain, ports: Mapping[Role, Sequence[_Port]]) -> None:
-    kinds = [b.kind for b in _as_chain(block).members.values()]
+def _check(block: Block | Chain, kinds: Sequence[str], groups: Iterable[Sequence[_Port]]) -> None:
     strange = set(kinds) - set(CHAIN_KINDS) if isinstance(block, Chain) else {"plant"} & set(kinds)
-    n_in, n_out, n_parameters = map(len, ports.values())
-    room = 1 <= len(kinds) <= MOST_MEMBERS and n_in + n_out <= MOST_SIGNALS
-    if strange or not room or n_parameters > MOST_PARAMETERS:
+    if strange or not 1 <= len(kinds) <= MOST_MEMBERS:
         raise BuildError(
-            f"{block.name} is a {block.kind} of {', '.join(kinds)} with {n_in} inputs, {n_out} outputs and "
-            f"{n_parameters} parameters, allowed for a DLL: a controller, supervisor, channel, PMU, or 1 to "
-            f"{MOST_MEMBERS} of them in a chain, with at most {MOST_SIGNALS} inputs and outputs and "
-            f"{MOST_PARAMETERS} parameters"
+            f"{block.name} is a {block.kind} of {', '.join(kinds) or 'nothing'}, allowed for a DLL: "
+            f"a controller, supervisor, channel, PMU, or 1 to {MOST_MEMBERS} of them in a chain"
         )
-    for group in ports.values():
+    for group in groups:
         names = [port_name(p.shown) for p in group]
-        if len(set(names)) != len(names) or not all(re.fullmatch(r"[A-Za-z_]\w*", n) for n in names):
+        if len(set(names)) != len(names) or not all(n.isascii() and n.isidentifier() for n in names):
             raise BuildError(
                 f"{block.name}: names {names} are no different C identifiers; rename the variables"
             )
@@ -238,23 +219,31 @@ def _check(block: Block | Chain, ports: Mapping[Role, Sequence[_Port]]) -> None:
 
 def entries_of(block: Block | Chain, sample_time_s: float) -> dict[str, npt.ArrayLike | bytes]:
     """Return the record: what Model_GetInfo tells, and the records of the members (c/dll/real_code.c)."""
-    chain, ports = _as_chain(block), _ports(block)
-    _check(block, ports)
-    counts, rows = [*map(len, ports.values()), len(chain.members)], [*ports["output"], *ports["parameter"]]
+    chain = block if isinstance(block, Chain) else Chain(block.name, {block.name: block})
+    ports, fed = _ports(chain, alone=chain is not block), {target for _, target in chain.connections}
+    shown = [p for name, p in ports.items() if name not in fed]  # what a connection feeds is no input
+    groups = [[p for p in shown if p.variable.role == role] for role in _ROLES]
+    _check(block, [b.kind for b in chain.members.values()], groups)
+    inputs, outputs, parameters = groups
+    of_tool: list[_Feed] = [((0, k, 0, -1), p[2:]) for k, p in enumerate(inputs)]  # member -1: the tool
     entries: dict[str, npt.ArrayLike | bytes] = {
-        "dll.counts": np.array(counts, dtype=np.int32),
-        "dll.ports": np.array([port.row for port in rows], dtype=np.int32),
-        "dll.feeds": np.array(_feeds(chain, ports["input"]), dtype=np.int32),
-        "dll.range": np.array([sample_time_s, *(x for p in ports["parameter"] for x in _range(p.variable))]),
-        "dll.text": b"".join(text.encode() + b"\0" for text in _texts(block, ports)),
+        "dll.counts": np.array([*map(len, groups), len(chain.members)], dtype=np.int32),
+        "dll.ports": np.array([p[2:] for p in (*outputs, *parameters)], dtype=np.int32),
+        "dll.feeds": np.array([*of_tool, *_wires(chain, ports)], dtype=np.int32),
+        "dll.range": np.array([sample_time_s, *(x for p in parameters for x in _range(p.variable))]),
+        "dll.text": b"".join(text.encode() + b"\0" for text in _texts(block, groups)),
     }
     for k, b in enumerate(chain.members.values()):
-        own: dict[str, npt.ArrayLike | bytes] = {}
-        if chain is block:
-            own["member.kind"] = np.array([CHAIN_KINDS.index(b.kind)], dtype=np.int32)
-            own["sampled"] = np.array([b.kind in ("channel", "pmu")], dtype=np.int32)
-        entries[f"member.{k}.record"] = pack_record(record_entries(b) | own)
+        entries[f"member.{k}.record"] = pack_record(record_entries(b) | _own_kind(b, chain is block))
     return entries
+
+
+def _own_kind(member: Block, of_chain: bool) -> dict[str, npt.ArrayLike | bytes]:
+    """Entries that tell the C of a chain which kind of block a member is."""
+    if not of_chain:
+        return {}
+    kind, sampled = CHAIN_KINDS.index(member.kind), member.kind in ("channel", "pmu")
+    return {"member.kind": np.array([kind], dtype=np.int32), "sampled": np.array([sampled], dtype=np.int32)}
 
 
 def _range(v: Variable) -> tuple[float, float, float]:
@@ -264,15 +253,15 @@ def _range(v: Variable) -> tuple[float, float, float]:
     return float(v.start or 0), float(limits[0]), float(limits[1])
 
 
-def _texts(block: Block | Chain, ports: Mapping[Role, Sequence[_Port]]) -> Iterator[str]:
+def _texts(block: Block | Chain, groups: Iterable[Sequence[_Port]]) -> Iterator[str]:
     """Texts in the order in which c/dll/real_code.c reads them."""
     general = {"generated by": f"interarea {product_version()}", **block.provenance}
     yield from (block.name, product_version(), block.description)
     yield "; ".join(f"{key}: {value}" for key, value in general.items())
-    for role, of_role in ports.items():
-        for shown, v, _ in of_role:
-            items = () if v.enumeration is None else v.enumeration.items
-            numbers = ": " + ", ".join(f"{value} {item}" for item, value, _ in items) if items else ""
-            yield from (port_name(shown), v.description + numbers, v.unit)
-            if role == "parameter":
-                yield re.split(r"[\[.]", shown)[0] if re.search(r"[\[.]", shown) else "general"
+    for shown, v, *_ in itertools.chain(*groups):
+        items = () if v.enumeration is None else v.enumeration.items
+        numbers = ": " + ", ".join(f"{value} {item}" for item, value, _ in items) if items else ""
+        yield port_name(shown)
+        if v.role == "parameter":
+            yield re.split(r"[\[.]", shown)[0] if re.search(r"[\[.]", shown) else "general"
+        yield from (v.description + numbers, v.unit)

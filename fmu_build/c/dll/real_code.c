@@ -26,13 +26,13 @@
 #define REFUSE(call, ...) say(call, NULL, fmi2Error, NULL, __VA_ARGS__)
 #define REMARK(call, ...) say(call, NULL, fmi2Warning, NULL, __VA_ARGS__)
 
-enum { MARK = 16, CAPACITY = 16384 };   /* bytes; the export chooses the second (write/real_code.py) */
-enum { MOST_MEMBERS = 24, MOST_SIGNALS = 512, MOST_PARAMETERS = 1024, TEXT_INTS = 128, TEXT_SIZE = 4 * TEXT_INTS };
+enum { MARK = 16, MOST_MEMBERS = 24, TEXT_INTS = 128, TEXT_SIZE = 4 * TEXT_INTS };
 enum { I_TAG, I_TEXT, I_COUNT = I_TEXT + TEXT_INTS };
 enum { LOG_DISCARDED = 1 << 2 };        /* of instance.c: errors it logs always */
 
-/* What an export writes into a copy of the library: a mark to find the place by, then a record (record.h). Read
- * through a volatile pointer: no compiler may take it for the zeros that it has here. */
+/* What an export writes into a copy of the library: a mark to find the place by, then a record (record.h) of at most
+ * CAPACITY bytes (write/real_code.py defines it). Read through a volatile pointer: no compiler may take it for the
+ * zeros that it has here. */
 static const unsigned char place[MARK + CAPACITY] __attribute__((aligned(16))) = "interarea-record";
 static const unsigned char *volatile const exported = place + MARK;
 
@@ -47,62 +47,59 @@ typedef struct {
     size_t memory;              /* where its part of the double states begins, bytes */
 } Member;
 
+enum { MOST_PORTS = CAPACITY / sizeof(Port) };  /* more of one sort do not fit into a record */
 static struct {
     int32_t tag, n_members;
     Member member[MOST_MEMBERS];
     size_t n_feeds;
-    const Feed *feeds;
+    const Feed *feeds;          /* first of the tool's inputs, in their order */
     const Port *outputs, *parameters;
     const RealCodeInfo *told;   /* what Model_GetInfo gives; null where no export has completed the library */
     RealCodeInfo info;
-    RealCodeSignal signal[MOST_SIGNALS];
-    RealCodeParameter parameter[MOST_PARAMETERS];
-} model;
+    RealCodeSignal signal[MOST_PORTS];
+    RealCodeParameter parameter[MOST_PORTS];
+} model = {.info = {.version = {1, 1, 0, 0}, .created = "", .creator = "interarea", .modified = "",
+                    .modified_by = "interarea", .comment = "", .history = "", .mode = REAL_CODE_EMT_AND_RMS,
+                    .inputs = model.signal, .parameters = model.parameter, .n_int = I_COUNT}};
 
-/* Next of the zero-terminated texts that lie before `end`. */
-static const char *next(const char **text, const char *end)
+/* The next n of the zero-terminated texts that lie before `end`. */
+static void next(const char *to[], int n, const char **text, const char *end)
 {
-    const char *const this = *text < end ? *text : "";
-
-    if (*text < end) *text += strlen(this) + 1;
-    return this;
+    for (int k = 0; k < n; ++k) {
+        to[k] = *text < end ? *text : "";
+        if (*text < end) *text += strlen(*text) + 1;
+    }
 }
 
 /* Everything that Model_GetInfo gives. Returns 0 where the record has no such description. */
 static int describe(const Record *record)
 {
+    RealCodeInfo *const info = &model.info;
     size_t n_counts, n_ports, n_feeds, n_range, n_text;
     const int32_t *n = record_i32(record, "dll.counts", &n_counts);
     const double *range = record_f64(record, "dll.range", &n_range);
-    const char *text = record_text(record, "dll.text", &n_text), *const end = text + n_text;
+    const char *text = record_text(record, "dll.text", &n_text), *const end = text + n_text, *t[4];
 
     model.outputs = (const Port *)record_i32(record, "dll.ports", &n_ports);
     model.feeds = (const Feed *)record_i32(record, "dll.feeds", &n_feeds);
     model.n_feeds = n_feeds / 8;
-    if (n_counts != 4 || n_text < 1 || end[-1] != 0 || n[0] < 0 || n[1] < 0 || n[0] + n[1] > MOST_SIGNALS || n[2] < 0
-        || n[2] > MOST_PARAMETERS || n_ports != 4 * (size_t)(n[1] + n[2]) || n_range != 1 + 3 * (size_t)n[2]
-        || n[3] < 1 || n[3] > MOST_MEMBERS)
+    if (n_counts != 4 || n_ports != 4 * (size_t)(n[1] + n[2]) || model.n_feeds < (size_t)n[0]
+        || n_range != 1 + 3 * (size_t)n[2] || n[3] < 1 || n[3] > MOST_MEMBERS || n_text < 1 || end[-1] != 0)
         return 0;
+    info->n_inputs = n[0], info->n_outputs = n[1], info->n_parameters = n[2], model.n_members = n[3];
+    info->outputs = model.signal + n[0];
     model.parameters = model.outputs + n[1];
-    model.n_members = n[3];
-    model.info = (RealCodeInfo){.version = {1, 1, 0, 0}, .created = "", .creator = "interarea", .modified = "",
-                                .modified_by = "interarea", .comment = "", .history = "", .sample_time = *range++,
-                                .mode = REAL_CODE_EMT_AND_RMS, .n_inputs = n[0], .inputs = model.signal,
-                                .n_outputs = n[1], .outputs = model.signal + n[0], .n_parameters = n[2],
-                                .parameters = model.parameter, .n_int = I_COUNT};
-    model.info.name = next(&text, end);
-    model.info.model_version = next(&text, end);
-    model.info.description = next(&text, end);
-    model.info.general = next(&text, end);
+    info->sample_time = *range++;
+    next(t, 4, &text, end);
+    info->name = t[0], info->model_version = t[1], info->description = t[2], info->general = t[3];
     for (int32_t k = 0; k < n[0] + n[1]; ++k) {
-        const char *const name = next(&text, end), *const meaning = next(&text, end), *const unit = next(&text, end);
-        model.signal[k] = (RealCodeSignal){name, meaning, unit, REAL_CODE_REAL64, 1};
+        next(t, 3, &text, end);
+        model.signal[k] = (RealCodeSignal){t[0], t[1], t[2], REAL_CODE_REAL64, 1};
     }
     for (int32_t k = 0; k < n[2]; ++k, range += 3) {
-        const char *const name = next(&text, end), *const meaning = next(&text, end), *const unit = next(&text, end);
-        const char *const group = next(&text, end);
-        model.parameter[k] = (RealCodeParameter){name, group, meaning, unit, REAL_CODE_REAL64,
-                                                 model.parameters[k].fixed, {range[0]}, {range[1]}, {range[2]}};
+        next(t, 4, &text, end);
+        model.parameter[k] = (RealCodeParameter){t[0], t[1], t[2], t[3], REAL_CODE_REAL64, model.parameters[k].fixed,
+                                                 {range[0]}, {range[1]}, {range[2]}};
     }
     return 1;
 }
@@ -138,7 +135,8 @@ __attribute__((constructor)) static void load(void)
     if (size > CAPACITY || record_open(&record, bytes, (size_t)size, &reason) != 0 || !describe(&record)) return;
     for (int32_t k = 0; k < model.n_members; ++k)
         if (!take_in(&record, k)) return;
-    memcpy(&model.tag, bytes + 16, sizeof model.tag);   /* of the check sum */
+    memcpy(&model.tag, bytes + 16, sizeof model.tag);   /* of the check sum; never that of zeroed states */
+    model.tag |= 1;
     model.told = &model.info;
 }
 
@@ -165,6 +163,7 @@ static void say(fmi2ComponentEnvironment environment, fmi2String name, fmi2Statu
     va_start(arguments, format);
     vsnprintf(text, TEXT_SIZE, colon != NULL ? colon + 2 : format, arguments);
     va_end(arguments);
+    call->tool->message = "";   /* a remark that an error has overwritten */
     *(rank == REAL_CODE_ERROR ? &call->tool->error : &call->tool->message) = text;
     call->worst = rank;
 }
@@ -190,21 +189,21 @@ static void enter(Call *call, RealCodeInstance *tool, int trial)
     }
 }
 
-/* Sets the variable of a port; an integer must be whole. */
+/* Sets the variable of a port; an integer must be whole, a flag 0 or 1. */
 static void set(Call *call, const Port *port, const char *name, double value)
 {
     Instance *c = &call->instance[port->member];
     const fmi2ValueReference r = (fmi2ValueReference)port->reference;
+    const int whole = (int)fmax(-2147483648.0, fmin(value, 2147483647.0));      /* NaN too becomes one */
+    const int flag = port->integer && c->type_integer[r] == TYPE_BOOLEAN;
 
-    if (!port->integer) {
+    if (!port->integer)
         (void)fmi2SetReal(c, &r, 1, &value);
-    } else if (!(value >= -2147483648.0 && value <= 2147483647.0 && value == floor(value))) {
-        REFUSE(call, "%s is %.9g at time %.9g s; a whole number is needed", name, value, call->tool->time);
-    } else {
-        const int whole = (int)value;
-        if (c->type_integer[r] == TYPE_BOOLEAN) (void)fmi2SetBoolean(c, &r, 1, &whole);
-        else (void)fmi2SetInteger(c, &r, 1, &whole);
-    }
+    else if ((double)whole != value || (flag && whole != 0 && whole != 1))
+        REFUSE(call, "%s is %.9g at time %.9g s; %s is needed", name, value, call->tool->time,
+               flag ? "0 or 1" : "a whole number");
+    else
+        (void)(flag ? fmi2SetBoolean : fmi2SetInteger)(c, &r, 1, &whole);
 }
 
 static double held(const Call *call, const Port *port)
@@ -216,7 +215,7 @@ static double held(const Call *call, const Port *port)
 /* An output as it is at the time of the call. */
 static double output(Call *call, const Port *port)
 {
-    (void)instance_refresh_outputs(&call->instance[port->member], 0, "");
+    (void)instance_refresh_outputs(&call->instance[port->member], 0, "fmi2GetReal");
     return held(call, port);
 }
 
@@ -242,16 +241,16 @@ static void feed(Call *call, int32_t k, double length)
     }
 }
 
-/* Parameters of a member that the tool has changed; once it runs, only those that may be. */
-static void set_parameters(Call *call, int32_t member)
+/* Parameters that the tool has changed; once a member runs, only those that may be. */
+static void set_parameters(Call *call)
 {
     const double *p = call->tool->parameters;
 
     for (int32_t k = 0; k < model.info.n_parameters && call->worst < REAL_CODE_ERROR; ++k) {
         const Port *port = &model.parameters[k];
         const char *name = model.parameter[k].name;
-        if (port->member != member || p[k] == held(call, port)) continue;
-        if (port->fixed && call->instance[member].run->mode != MODE_INSTANTIATED)
+        if (p[k] == held(call, port)) continue;
+        if (port->fixed && call->instance[port->member].run->mode != MODE_INSTANTIATED)
             REMARK(call, "%s was changed to %.9g during the run and stays at %.9g: it counts at the start only", name,
                    p[k], held(call, port));
         else
@@ -262,15 +261,15 @@ static void set_parameters(Call *call, int32_t member)
 /* From the parameters and inputs of the tool to the begin of a run; `trial`: inputs may not be there yet. */
 static void start(Call *call, int trial)
 {
+    for (int32_t k = 0; k < model.n_members; ++k) {
+        instance_reset_values(&call->instance[k]);
+        (void)fmi2SetupExperiment(&call->instance[k], fmi2False, 0.0, call->tool->time, fmi2False, 0.0);
+    }
+    set_parameters(call);
     for (int32_t k = 0; k < model.n_members && call->worst < REAL_CODE_ERROR; ++k) {
-        Instance *c = &call->instance[k];
-
-        instance_reset_values(c);
-        (void)fmi2SetupExperiment(c, fmi2False, 0.0, call->tool->time, fmi2False, 0.0);
-        set_parameters(call, k);
-        if (call->worst < REAL_CODE_ERROR) (void)fmi2EnterInitializationMode(c);
+        (void)fmi2EnterInitializationMode(&call->instance[k]);
         if (!trial) feed(call, k, 0.0);
-        if (call->worst < REAL_CODE_ERROR) (void)fmi2ExitInitializationMode(c);
+        if (call->worst < REAL_CODE_ERROR) (void)fmi2ExitInitializationMode(&call->instance[k]);
     }
 }
 
@@ -310,7 +309,7 @@ EXPORTED int32_t Model_Initialize(RealCodeInstance *tool)
             REMARK(&call, "output %s starts at %.9g, not at the %.9g that the tool has given it",
                    model.info.outputs[k].name, own, y[k]);
     }
-    tool->int_states[I_TAG] = model.tag;
+    tool->int_states[I_TAG] = call.worst < REAL_CODE_ERROR ? model.tag : 0;
     return call.worst;
 }
 
@@ -334,8 +333,8 @@ EXPORTED int32_t Model_Outputs(RealCodeInstance *tool)
 
     enter(&call, tool, 0);
     if (tool->int_states[I_TAG] != model.tag) {
-        tool->error = "Model_Initialize was not called, or the states are those of another model";
-        return REAL_CODE_ERROR;
+        REFUSE(&call, "Model_Initialize was not called, a call failed since, or the states are of another model");
+        return call.worst;
     }
     const double before = call.instance[0].run->time, length = tool->time - before;
     for (int32_t k = 0; k < model.info.n_inputs; ++k)
@@ -344,7 +343,8 @@ EXPORTED int32_t Model_Outputs(RealCodeInstance *tool)
                    tool->time);
     if (!(length >= -slack))
         REFUSE(&call, "time is %.9g s, before the %.9g s of the last call", tool->time, before);
-    for (int32_t k = 0; k < model.n_members && call.worst < REAL_CODE_ERROR; ++k) set_parameters(&call, k);
+    if (call.worst == REAL_CODE_ERROR) return call.worst;   /* the states are as they were */
+    set_parameters(&call);
     for (int32_t k = 0; k < model.n_members && call.worst < REAL_CODE_ERROR; ++k) {
         Instance *c = &call.instance[k];
         if (length > slack && !instance_is_sampled(c)) feed(&call, k, length);
@@ -352,6 +352,7 @@ EXPORTED int32_t Model_Outputs(RealCodeInstance *tool)
         feed(&call, k, 0.0);
     }
     give_outputs(&call);
+    if (call.worst == REAL_CODE_ERROR) tool->int_states[I_TAG] = 0;
     return call.worst;
 }
 

@@ -218,8 +218,9 @@ def test_the_description_is_that_of_the_block(robust: Block, library) -> None:  
     assert not any(p.name.startswith("A_") for p in described.parameters)
 
 
-def test_a_call_at_the_same_time_changes_nothing(library) -> None:  # type: ignore[no-untyped-def]
-    one, twice = (start(RealCode(library("controller"))) for _ in range(2))
+@pytest.mark.parametrize("kind", list(PARAMETERS))
+def test_a_call_at_the_same_time_changes_nothing(kind: str, library) -> None:  # type: ignore[no-untyped-def]
+    one, twice = (start(RealCode(library(kind))) for _ in range(2))
     for k in range(1, 30):
         step(twice, k * STEP)
         assert twice.call("Model_Iterate") == OK
@@ -271,7 +272,8 @@ def test_what_a_tool_does_wrong_is_refused_in_words(library) -> None:  # type: i
         return model.call("Model_Outputs", time), model.text()
 
     model = RealCode(library("controller"))
-    assert tried(0.0) == (ERROR, "Model_Initialize was not called, or the states are those of another model")
+    begun = "Model_Initialize was not called, a call failed since, or the states are of another model"
+    assert tried(0.0) == (ERROR, begun)
     start(model)
     step(model, STEP)
     code, text = tried(2 * STEP, G2_dw=float("nan"))
@@ -284,6 +286,13 @@ def test_what_a_tool_does_wrong_is_refused_in_words(library) -> None:  # type: i
         model.call("Model_CheckParameters") == ERROR
         and "limit was set to -1; allowed are 0 to" in model.text()
     )
+    assert tried(3 * STEP)[0] == ERROR and "limit was set to -1" in model.text()
+    model.parameters["limit"] = 0.02
+    assert tried(3 * STEP) == (ERROR, begun)  # it failed after its begin
+    start(model, 3 * STEP)
+    assert tried(4 * STEP)[0] == OK
+    model = RealCode(library("decay"), {"kicking": 2})
+    assert model.call("Model_CheckParameters") == ERROR and "0 or 1 is needed" in model.text()
     model = RealCode(library("channel"), {"seed": 1.5})
     assert model.call("Model_CheckParameters") == ERROR and "a whole number is needed" in model.text()
     model = start(RealCode(library("channel")))
@@ -305,7 +314,7 @@ def test_blocks_that_no_dll_can_be_made_of(robust: Block, tmp_path: Path) -> Non
         build_dll(robust, tmp_path, platform="vax")
     with pytest.raises(BuildError, match="sample time of a DLL: 0 s, allowed: above 0"):
         build_dll(robust, tmp_path, platform="linux64", sample_time_s=0.0)
-    with pytest.raises(BuildError, match="is a plant of plant with"):
+    with pytest.raises(BuildError, match="is a plant of plant, allowed for a DLL: a controller"):
         build_dll(decay_block(kind="plant"), tmp_path, platform="linux64")
     members = {"remote": channel_block(capacity=16), "controller": robust}
     for connection, words in (
@@ -315,5 +324,8 @@ def test_blocks_that_no_dll_can_be_made_of(robust: Block, tmp_path: Path) -> Non
     ):
         with pytest.raises(BuildError, match=words):
             build_dll(Chain("wrong", members, [connection]), tmp_path, platform="linux64")
-    with pytest.raises(BuildError, match="is a chain of decay with"):
+    twice = [("remote.y", "controller.G2_dw")] * 2
+    with pytest.raises(BuildError, match=r"controller\.G2_dw is fed twice"):
+        build_dll(Chain("wrong", members, twice), tmp_path, platform="linux64")
+    with pytest.raises(BuildError, match="is a chain of decay, allowed for a DLL: a controller"):
         build_dll(Chain("wrong", {"decay": decay_block()}), tmp_path, platform="linux64")
