@@ -58,7 +58,7 @@ class Report:
         if self.findings:
             return f"findings: {len(self.findings)}"
         if self.not_run:
-            return f"not run ({'; '.join(self.not_run)}); nothing found in archive and description"
+            return f"not run ({'; '.join(self.not_run)}); nothing found in what was read"
         return "clean"
 
     def as_dict(self) -> dict[str, Any]:

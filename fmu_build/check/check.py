@@ -11,6 +11,7 @@ from interarea.models.files import temporary_folder
 from ..finding import CheckError, Finding, Report
 from ..open.archive import unpack_checked
 from ..open.description import read_description
+from ..open.ports import DLL_SUFFIXES
 from ..open.xml import obeys_schema, read_xml
 from .binary import check_binaries
 from .delegated import fmpy_rules, toolbox_rules
@@ -43,9 +44,9 @@ def check_file(path: Path | str, *, run: bool = True, timeout_s: float = TIMEOUT
     CheckError : no such file, or neither a zip archive nor a library.
     """
     path = Path(path)
-    require_regular(path, "an FMU or SSP", CheckError)
+    require_regular(path, "an FMU, SSP or DLL", CheckError)
     report = Report(str(path))
-    if path.suffix.lower() in (".dll", ".so", ".dylib"):
+    if path.suffix.lower() in DLL_SUFFIXES:
         if not check_library(path, report):
             return report
         if run:
@@ -55,7 +56,9 @@ def check_file(path: Path | str, *, run: bool = True, timeout_s: float = TIMEOUT
             report.not_run.append("as was asked for")
         return report
     if not zipfile.is_zipfile(path):
-        raise CheckError(f"{path}: is no zip archive, so neither an FMU nor an SSP")
+        raise CheckError(
+            f"{path}: is no zip archive, so neither FMU nor SSP; a DLL ends in {', '.join(DLL_SUFFIXES)}"
+        )
     with temporary_folder() as scratch:
         folder = scratch / "fmu"
         folder.mkdir()

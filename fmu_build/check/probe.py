@@ -52,9 +52,11 @@ def main(request_file: str, result_file: str) -> None:
             reported: list[tuple[str, str, str, str]] = []
             try:
                 if interface not in libraries:
+                    libraries[interface] = None  # where it cannot be loaded, which is reported once
                     libraries[interface] = _library(interface, folder, Path(binary))
                 topics = check_real_code.TOPICS if interface == check_real_code.INTERFACE else TOPICS
-                topics[topic](libraries[interface], lambda *f, rows=reported: rows.append(f))  # type: ignore[operator]
+                if libraries[interface] is not None:
+                    topics[topic](libraries[interface], lambda *f, rows=reported: rows.append(f))  # type: ignore[operator]
             except CallFailed as error:
                 reported.append(
                     (

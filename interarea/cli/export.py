@@ -90,6 +90,8 @@ def build(
 
     from .destination import folder_for
 
+    to = _dll_platforms(dll)
+
     cache = default_cache()
     loaded = load_case(case)
     folder_for(out)
@@ -107,7 +109,7 @@ def build(
             report(f"{name}.fmu")
             fmu = complete_fmu(block_fmu(block, cache, platforms=names_of(platforms)), cache)
             files[name] = str(place(fmu, out / f"{name}.fmu"))
-        dlls = _dlls([*parts, pmu_block()], out, names_of(dll) or [], sample_s, cache)
+        dlls = _dlls([*parts, pmu_block()], out, to, sample_s, cache)
     if json_:
         typer.echo(
             json.dumps({"case": loaded.name, "fmus": files} | ({"dlls": dlls} if dll else {}), indent=2)
@@ -122,6 +124,18 @@ def _sample_s(given: float | None, dll: str | None) -> float:
     if given is not None and dll is None:
         raise BuildError(f"--sample-time {given:g}: of a DLL alone, wanted: with --dll, or left out")
     return 0.001 if given is None else given
+
+
+def _dll_platforms(names: str | None) -> list[str]:
+    """Return the platforms of ``--dll``, before anything is built."""
+    from interarea.fmu_build.write.real_code import DLL_PLATFORMS, suffix_of
+
+    platforms = names_of(names)
+    if platforms == []:
+        raise BuildError(f"--dll {names}: names no platform; allowed: {', '.join(DLL_PLATFORMS)}")
+    for platform in platforms or ():
+        suffix_of(platform)
+    return platforms or []
 
 
 def _dlls(
@@ -194,6 +208,8 @@ def container(
 
     if dll is None:
         tell_file(_written(write_container, ".fmu", scenario, out, platforms), json_)
+    elif platforms is not None:
+        raise BuildError(f"--platforms {platforms}: of an FMU alone, wanted: without --dll, or left out")
     else:
         tell_file(_written(write_chain, suffix_of(dll), scenario, out, None), json_)
 

@@ -127,3 +127,7 @@ def test_files_that_are_no_dll(tmp_path: Path) -> None:
 def test_the_package_own_is_clean(tmp_path: Path, cache: Path) -> None:
     file = build_dll(channel_block(capacity=64), tmp_path, platform="linux64", cache=cache)
     assert check_file(file).verdict == "clean"
+    head, mark, rest = file.read_bytes().partition(b"interarea-record")
+    file.with_name("empty.so").write_bytes(head + mark + bytes(64) + rest[64:])  # no export has completed it
+    (finding,) = check_file(file.with_name("empty.so")).findings
+    assert "Model_GetInfo gives no description" in finding.message
