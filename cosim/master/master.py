@@ -246,8 +246,9 @@ class Master:
 
     @property
     def fmu_logs(self) -> list[FmuLog]:
-        """What the FMUs logged since the start, in the order of their names."""
-        return [p.log for p in self._stopping]
+        """What FMUs and DLLs logged since the start, in the order of their names."""
+        logs = (getattr(p, "log", None) for p in self.participants.values())
+        return [log for log in logs if isinstance(log, FmuLog)]
 
     def close(self) -> None:
         """End all participants."""

@@ -34,13 +34,7 @@ class ServedRealCode:
         self.stops_early = False
         self.log = SpokenLog(name, lambda: self.time_s)
         self.time_s: float | None = None
-        self._model = RealCode(library)
-        self._begun = False
-        self._start: Mapping[str, Value] = {}
-        self._bound: tuple[str, ...] = ()
-        self._poly: dict[str, list[float]] = {}
-        self._sample = 0
-        self._origin = 0.0
+        self._begun = False  #: with start values, inputs and a model, which `set_start`, `bind`, `begin` set
         self.y: list[float] = []
         self.dy = ()  #: outputs are held
 
@@ -62,7 +56,7 @@ class ServedRealCode:
         self._model, self._begun = RealCode(self.library, self._start), True
         self.time_s = self._origin = start_s
         self._sample = 0
-        self._poly = {}
+        self._poly: dict[str, list[float]] = {}
         self._call("Model_FirstCall")
         self._call("Model_CheckParameters")
 

@@ -133,6 +133,11 @@ def test_what_is_wrong_with_a_dll_is_one_error(robust: Path, tmp_path: Path, cac
         with pytest.raises(StepError, match=r"the DLL crashed its process \(SIGABRT\)") as error:
             System(stop_s=1.0, step_s=0.01, cache=cache).fmu("mine", compiled(defect, tmp_path)).run()
         assert "\n" not in str(error.value)
+    given = System(stop_s=0.1, step_s=0.01, cache=cache).fmu("mine", robust, start={"G4_vs": 0.01}).run()
+    (line,) = given.fmu_log  # what a DLL says with return code 1
+    assert "output G4_vs starts at 0, not at the 0.01" in line
+    with pytest.raises(GraphError, match=r"robust\.so: limit = 'much', allowed: a number"):
+        system.fmu("mine", robust, start={"limit": "much"}).run()
     bad = System(stop_s=1.0, step_s=0.01, cache=cache).fmu("mine", robust, start={"limit": -1.0})
     with pytest.raises(StepError, match="limit was set to -1; allowed are 0 to"):
         bad.run()
