@@ -50,8 +50,7 @@ _OVER = "an over-excitation limiter; left out, nothing takes a field above its r
 _UNDER = "an under-excitation limiter; left out, nothing stops a machine that takes too much Q"
 _WHY = {
     **dict.fromkeys(("CMLDBLU1", "CMLDBLU2", "ACMTBLU1", "CIM5BL", "CIM6BL", "CLODBL"), _LOAD),
-    "WTDTA1": "the drive train of a wind turbine, whose speed acts by PFLAG = 1 of REECA1 or a WTTQA1",
-    **dict.fromkeys(("WTARA1", "WTPTA1", "WTTQA1"), "wind, pitch or torque of a turbine, by its WTDTA1"),
+    **dict.fromkeys(("WTARA1", "WTPTA1", "WTTQA1"), "wind, pitch or torque of a turbine"),
     **dict.fromkeys(("MAXEX1", "OEL1B"), _OVER),
     **dict.fromkeys(("MNLEX1", "MNLEX2", "UEL1", "UEL2"), _UNDER),
 }

@@ -77,7 +77,7 @@ def test_a_plant_follows_the_record(name):
             "'REECB1' 2",
             "G103 has no REECB1 or REECA1 or REECC1, which sets its currents, allowed: one; --converters",
         ),
-        ("'REGCA1' 1", "'REGCA1' 2", "G103 has no REGCA1 or REGCB1, which is the converter itself"),
+        ("'REGCA1' 1", "'REGCA1' 2", "G103 has no REGCA1 or REGCB1 or REGCC1, which is the converter itself"),
         (
             "103 'REPCA1' 1\n             0           0           0",
             "103 'REPCA1' 1\n 0 101 999",
