@@ -61,6 +61,14 @@ static void see_plant(const real *memory, const Plan *plan, const num *x, size_t
     const num a_re = w->port.v_re[end], a_im = w->port.v_im[end];
     num re, im;
 
+#ifndef PLANT_LANES   /* there the drop may differ from lane to lane; without one these are the same bits */
+    if (bus == p && row[P_DROP_R] == 0.0 && row[P_DROP_X] == 0.0) {
+        w->efd[at] = w->pm[at] = w->vt[at];
+        w->id[at] = w->pe[at];
+        w->iq[at] = w->ifd[at];
+        return;
+    }
+#endif
     if (flow) {
         const real *of = row + 2 * P_ROWS, on = memory[plan->in_service + index_at(of, P_BRANCH)];
         const num b_re = w->port.v_re[p + 3], b_im = w->port.v_im[p + 3];
