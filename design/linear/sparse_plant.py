@@ -16,7 +16,7 @@ A_k, are known. Buses without a device are eliminated once, as far as that fills
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Protocol
@@ -27,6 +27,7 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from interarea.models.errors import InterareaError
+from interarea.models.grid.coupling import NOTHING
 from interarea.models.grid.dc_link import INVERTER
 from interarea.models.grid.network import assembled
 from interarea.models.grid.vsc_link import CONVERTER, FAR
@@ -234,7 +235,7 @@ def sparse_plant(slopes: Slopes, data: Mapping[str, Any], at_bus: ComplexArray) 
 
     Raises
     ------
-    SparsePlantError : derivatives that are not finite, or a device that regulates another bus than its own.
+    SparsePlantError : derivatives that are not finite.
     """
     places = _words(data["machine.names"])
     bus = np.asarray(data["machine.bus"], dtype=np.int64)
@@ -248,13 +249,12 @@ def sparse_plant(slopes: Slopes, data: Mapping[str, Any], at_bus: ComplexArray) 
     place = np.full((K, m), n, dtype=np.int64)
     place[of, local] = np.arange(n)
     ports = np.asarray(data["port.table"], dtype=float)
-    at_buses, inverters = _ports_of_devices(ports, places[len(bus) :])
+    at_buses, others = _ports_of_devices(ports)
     acts_on = np.asarray(data["input.machine"], dtype=np.int64)
-    source = np.concatenate([np.arange(len(bus)), len(bus) + at_buses])[:, None]
-    if len(inverters):
-        second = source.copy()
-        second[len(bus) + ports[inverters, 1].astype(np.int64), 0] = len(bus) + inverters
-        source = np.hstack([source, second])
+    own = np.concatenate([np.arange(len(bus)), len(bus) + at_buses])
+    source = np.tile(own[:, None], 1 + len(others))
+    for column, at in enumerate(others, start=1):
+        source[len(bus) + ports[at, 1].astype(np.int64), column] = len(bus) + at
     blocks = _device_blocks(slopes, place, local, source, acts_on >= K)
     at_port = np.concatenate([bus, ports[:, 3].astype(np.int64)])  # of the ports of devices at buses
     bus = at_port[source]
@@ -297,17 +297,20 @@ class _Blocks:
     moved: Matrix  # (2, n) dx/dt for 1 at every first input of a place, and at every second one
 
 
-def _ports_of_devices(ports: Matrix, names: Sequence[str]) -> tuple[IntArray, IntArray]:
-    """Where in the table of ports each device at a bus stands, and the second ends of dc links."""
+def _ports_of_devices(ports: Matrix) -> tuple[IntArray, list[IntArray]]:
+    """Where in the table of ports each device at a bus stands, and the further ports that some have.
+
+    Those are the second ends of dc links and, one each, the places that a device only measures.
+    """
     devices = ports[:, 0] == _DEVICE
-    for k in ports[devices & (ports[:, _COUPLING] == 0.0), 1]:
-        raise SparsePlantError(
-            f"{names[int(k)]} regulates another bus than its own or measures a branch, which is not "
-            "taken; leave out `regulates` and `measures`, or use `interarea modes` on a grid of fewer states"
-        )
     coupling = ports[:, _COUPLING]
     inverters = devices & ((coupling == INVERTER) | ((coupling == CONVERTER) & (ports[:, FAR] == 1.0)))
-    return np.flatnonzero(devices & ~inverters), np.flatnonzero(inverters)
+    measuring = devices & (coupling == NOTHING)
+    others = [np.flatnonzero(inverters)]
+    at = np.flatnonzero(measuring)
+    which = np.array([np.sum(ports[at[:k], 1] == ports[one, 1]) for k, one in enumerate(at)], dtype=int)
+    others += [at[which == k] for k in range(which.max(initial=-1) + 1)]
+    return np.flatnonzero(devices & ~inverters & ~measuring), [ones for ones in others if len(ones)]
 
 
 def _device_blocks(

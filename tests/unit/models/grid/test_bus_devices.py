@@ -8,8 +8,6 @@ from plant_shim import BlockShim
 from sparse_blocks import agreeing_blocks
 
 from interarea.cosim.run.artefacts import linear_matrices
-from interarea.design.linear.sparse_plant import SparsePlantError, sparse_plant
-from interarea.fmu_build.write.device_slopes import DeviceSlopes
 from interarea.models.blocks.plant import event_parameters, plant_block
 from interarea.models.case.case import load_case
 from interarea.models.case.events import events_of
@@ -168,15 +166,9 @@ def test_a_trip_of_a_device_that_does_not_exist_is_refused():
 
 
 @pytest.mark.parametrize("base", ["two-area-thesis", "kundur-manual"])
-def test_the_sparse_blocks_have_its_state_matrix(base):
+@pytest.mark.parametrize("where", [{"V_pu": 1.0}, {"regulates": 7}])
+def test_the_sparse_blocks_have_its_state_matrix(base, where):
     """`interarea loops` reads the plant as blocks: with its matrix and inputs."""
-    case = in_plant_order(with_svc("svc", base, V_pu=1.0))
+    case = in_plant_order(with_svc("svc", base, **where))
     blocks, _, _ = agreeing_blocks(case)
     assert blocks.inputs[-1] == "svc1_v_mod"
-
-
-def test_the_sparse_blocks_refuse_what_sees_another_bus():
-    case = in_plant_order(with_svc("svc", regulates=7))
-    block = plant_block(case)
-    with pytest.raises(SparsePlantError, match=r"svc1 regulates another bus than its own.*leave out `reg"):
-        sparse_plant(DeviceSlopes(block, cache=default_cache()), block.data, solve_powerflow(case).voltages)

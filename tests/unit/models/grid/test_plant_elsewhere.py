@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from grid_text import pair_with
 from plant_shim import BlockShim
+from sparse_blocks import agreeing_blocks
 
-from interarea.design.linear.sparse_plant import SparsePlantError, sparse_plant
-from interarea.fmu_build.write.cache import default_cache
-from interarea.fmu_build.write.device_slopes import DeviceSlopes
+import interarea as ia
 from interarea.models.blocks.plant import event_parameters, plant_block
 from interarea.models.case.case import load_case
 from interarea.models.case.events import events_of
@@ -156,10 +155,17 @@ def test_at_rest_it_stands_for_20_s():
     assert np.max(np.abs(x[:, own] - x[0, own])) < 1e-11
 
 
-def test_sparse_blocks_do_not_take_it_and_say_so():
-    block = plant_block(in_plant_order(with_plant("flow")))
-    with pytest.raises(SparsePlantError, match=r"pv1 regulates another bus .* or measures a branch"):
-        sparse_plant(DeviceSlopes(block, cache=default_cache()), block.data, np.ones(11, dtype=complex))
+@pytest.mark.parametrize("base", ["two-area-thesis", "kundur-manual"])
+@pytest.mark.parametrize("name", SEES)
+def test_the_sparse_blocks_have_its_state_matrix(name, base):
+    blocks, _, _ = agreeing_blocks(in_plant_order(with_plant(name, base)))
+    assert "pv1_p_mod" in blocks.inputs
+
+
+def test_a_run_of_it_has_a_verdict():
+    case = with_plant("drop")
+    run = ia.simulate({"name": "elsewhere", "case": case.name, "stop_s": 3.0, "step_s": 0.01}, case=case)
+    assert run.stable and abs(run["plant.G1_dw"]).max() < 1e-9
 
 
 @pytest.mark.parametrize(
