@@ -18,6 +18,7 @@ import numpy as np
 from interarea.design.certificates.large_loop import WELL_DAMPED
 from interarea.design.controllers.controller import Controller
 from interarea.design.delay.signal_conditions import Condition
+from interarea.design.linear.linearise import select
 from interarea.design.modes.loop_points import LoopSet
 from interarea.design.robust.operating_points import FamilyCertificate, inter_area_band, judge_family
 from interarea.design.robust.signal_worth import own_alone
@@ -177,7 +178,7 @@ class LinkDesigns:
     def best_own(self, sees: Mapping[str, tuple[str, ...]], controllers: Sequence[Controller]) -> Controller:
         """Return the best controller of own signals alone: those of `controllers`, other signals masked."""
         signals = _speeds(sees)
-        masked = [_of_signals(own_alone(one.system), signals) for one in controllers]
+        masked = [select(own_alone(one.system), signals) for one in controllers]
         return self.best(sees, 0, [Controller("link", K, LIMIT_PU) for K in masked])
 
     def best(
@@ -427,11 +428,4 @@ def _seeing(K: control.StateSpace, signals: Sequence[str]) -> control.StateSpace
     place = [list(signals).index(name) for name in K.input_labels]
     B, D = np.zeros((K.nstates, len(signals))), np.zeros((K.noutputs, len(signals)))
     B[:, place], D[:, place] = np.asarray(K.B), np.asarray(K.D)
-    return control.ss(K.A, B, K.C, D, inputs=list(signals), outputs=list(K.output_labels))
-
-
-def _of_signals(K: control.StateSpace, signals: Sequence[str]) -> control.StateSpace:
-    """Return `K` with these of its inputs alone."""
-    place = [K.input_labels.index(name) for name in signals]
-    B, D = np.asarray(K.B)[:, place], np.asarray(K.D)[:, place]
     return control.ss(K.A, B, K.C, D, inputs=list(signals), outputs=list(K.output_labels))
