@@ -1,4 +1,4 @@
-"""The tables of worked_studies.md: studies of grids by one command; this file runs them and writes them."""
+"""The tables of worked_studies.md: runs studies of grids by one command and writes their rows."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from typing import Any
 from interarea.cosim.grid_study.page import sentence
 
 PAGE = Path(__file__).resolve().parents[1] / "worked_studies.md"
-#: bundled, and one that is fetched where it is published; others are given by name
-GRIDS = ("two-area-thesis", "kundur-pss", "new-england", "nets-nyps", "npcc")
+#: bundled, and some that are downloaded where they are published; others are given by name
+GRIDS = ("two-area-thesis", "kundur-pss", "new-england", "nets-nyps", "npcc", "nordic-44", "wecc-179")
 _TABLE = re.compile(r"(?<=<!-- studies -->\n).*?(?=<!-- end of studies -->)", re.DOTALL)
 _HEAD = (
     "| grid: buses, machines | weakest inter-area mode | asked "
@@ -106,10 +106,13 @@ def _kinds(violations: Sequence[str]) -> list[str]:
     return [lines[0] + (f" (and {len(lines) - 1} like it)" if lines[1:] else "") for lines in kinds.values()]
 
 
-def tables(studies: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return the table of studies and a sentence for each."""
-    rows = "".join(row(name, study) for name, study in studies.items())
-    return f"{_HEAD}{rows}\n{''.join(words(name, study) for name, study in studies.items())}"
+def tables(studies: Mapping[str, Mapping[str, Any]], before: str) -> str:
+    """Return the table of studies and a sentence for each; grids without a study keep what `before` has."""
+    rows = {m[1]: m[0] for m in re.finditer(r"^\| `(.+?)`:.*\n", before, re.MULTILINE)}
+    lines = {m[1]: m[0] for m in re.finditer(r"^- `(.+?)`:.*\n", before, re.MULTILINE)}
+    rows |= {name: row(name, study) for name, study in studies.items()}
+    lines |= {name: words(name, study) for name, study in studies.items()}
+    return f"{_HEAD}{''.join(rows.values())}\n{''.join(lines.values())}"
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -121,7 +124,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     wanted = parser.parse_args(arguments)
     studies = {grid: run_study(grid, wanted.minutes, wanted.out / grid) for grid in wanted.grids}
     text = PAGE.read_text(encoding="utf-8")
-    PAGE.write_text(_TABLE.sub(lambda _: tables(studies), text), encoding="utf-8")
+    PAGE.write_text(_TABLE.sub(lambda part: tables(studies, part[0]), text), encoding="utf-8")
 
 
 if __name__ == "__main__":

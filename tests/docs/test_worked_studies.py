@@ -88,3 +88,13 @@ def test_the_page_holds_each_grid_of_its_command(script: ModuleType) -> None:
     assert [row[0].split("`")[1] for row in rows] == list(script.GRIDS)
     assert all(len(row) == 10 for row in rows)
     assert [line.split("`")[1] for line in text.splitlines() if line.startswith("- `")] == list(script.GRIDS)
+
+
+def test_grids_that_are_not_run_keep_their_rows(script: ModuleType) -> None:
+    before = script.tables({"a": _study(), "b": _study()}, "")
+    again = _study(problem="grid: no weak mode")
+    after = script.tables({"b": again, "c": _study()}, before)
+    lines = [script.row(name, study) for name, study in (("a", _study()), ("b", again), ("c", _study()))]
+    assert "".join(lines) in after
+    assert script.words("a", _study()) + script.words("b", again) in after
+    assert before.partition("| `a`")[0] == after.partition("| `a`")[0]
