@@ -1,15 +1,18 @@
 """What the shipped robust controllers hold at operating points and with parameters that no design saw.
 
-Run `python benchmarks/control/unseen_points.py [--parameters] [--faults] [NAME...]`: full plants, exact
-latency, conditions of the design. With `--parameters` the changes of `changes_of` to the case in place of
-the operating points: exciter gain, inertia, loads, tie reactance, a stabilizer out, governors out. With
+Run `python benchmarks/control/unseen_points.py [--parameters | --pairs] [--faults] [NAME...]`: full plants,
+exact latency, conditions of the design. With `--parameters` the changes of `changes_of` to the case in place
+of the operating points: exciter gain, inertia, loads, tie reactance, a stabilizer out, governors out. With
+`--pairs` the twenty worst double outages among the branches that are out one by one otherwise: those whose
+weakest inter-area mode has the least damping without control, where the grid stays whole. With
 `--faults` the non-linear faults of its acceptance there, at places where no design had one too.
 """
 
 from __future__ import annotations
 
+import itertools
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -28,12 +31,14 @@ from interarea.design.linear.sparse_plant import SparsePlant
 from interarea.design.modes.modes import Mode, ModeError
 from interarea.design.robust.operating_points import JudgedPlant, inter_area_band, judge_family
 from interarea.fmu_build.write.cache import default_cache
-from interarea.models.case.case import Case
+from interarea.models.case.case import Case, CaseError
 from interarea.models.case.named_changes import changes_of
 from interarea.models.case.variants import operating_variant
 from interarea.models.grid.powerflow import PowerFlowError
 
 Change = Mapping[str, Any]
+PARAMETERS, PAIRS = "--parameters", "--pairs"
+WORST_PAIRS = 20
 
 
 def out(*branches: str) -> dict[str, Change]:
@@ -116,10 +121,13 @@ def judged(case: Case, cache: Path) -> tuple[JudgedPlant, Mapping[str, Mode]]:
     return speeds_in_rad(plant, case.omega_b), named_modes(plant, case) or {}
 
 
-def unseen(name: str, parameters: bool) -> dict[str, Case]:
-    """Return the operating points of `POINTS`, or changes by name, that the design `name` has not got."""
+def unseen(name: str, kind: str) -> dict[str, Case]:
+    """Return the operating points of `POINTS`, or of another kind, that the design `name` has not got."""
     table = load_design(name)
-    if parameters:
+    if kind == PAIRS:
+        single = [c["out"][0] for c in POINTS[table.grid.name].values() if len(c.get("out", ())) == 1]
+        return _worst(_whole(table.grid, itertools.combinations(single, 2)), default_cache())
+    if kind == PARAMETERS:
         known = {text for point in table.point for text in point.vary}
         texts = [text for text in changes_of(table.grid) if text not in known]
         return {text: operating_variant(table.grid, vary=[text]) for text in texts}
@@ -129,6 +137,28 @@ def unseen(name: str, parameters: bool) -> dict[str, Case]:
         for point, change in POINTS[table.grid.name].items()
         if not (tuple(change.get("out", ())) in seen and len(change) == 1)
     }
+
+
+def _whole(case: Case, pairs: Iterable[tuple[str, str]]) -> Iterator[tuple[str, Case]]:
+    """Yield the name and case of each pair of outages that leaves the grid in one piece."""
+    for pair in pairs:
+        try:
+            yield f"{' and '.join(pair)} out", operating_variant(case, out=pair)
+        except CaseError:  # in pieces
+            continue
+
+
+def _worst(cases: Iterable[tuple[str, Case]], cache: Path) -> dict[str, Case]:
+    """Return those of the least damped inter-area modes without control."""
+    ranked: list[tuple[float, str, Case]] = []
+    for name, case in cases:
+        try:
+            _, modes = judged(case, cache)
+        except (PowerFlowError, ModeError):
+            continue
+        between = (mode.damping_ratio for mode in modes.values() if mode.name.startswith("inter-area"))
+        ranked.append((min(between, default=1.0), name, case))
+    return {name: case for _, name, case in sorted(ranked, key=lambda row: row[0])[:WORST_PAIRS]}
 
 
 def answered(controller: Controller) -> control.StateSpace:
@@ -145,10 +175,11 @@ def answered(controller: Controller) -> control.StateSpace:
     )
 
 
-def small_signal(name: str, cache: Path, parameters: bool) -> None:
+def small_signal(name: str, cache: Path, kind: str) -> None:
     """Print a line for each operating point, and how many conditions are unstable."""
     controller, table = shipped_controller(name), load_design(name)
-    for point, case in unseen(name, parameters).items():
+    total = gone = unstable_alone = below = 0
+    for point, case in unseen(name, kind).items():
         try:
             plant, modes = judged(case, cache)
         except (PowerFlowError, ModeError) as error:
@@ -162,21 +193,27 @@ def small_signal(name: str, cache: Path, parameters: bool) -> None:
         )
         unstable = sum(not row.stable for row in verdict.rows)
         alone = min((mode.damping_ratio for mode in modes.values()), default=1.0)
+        total, gone = total + len(verdict.rows), gone + unstable
+        unstable_alone, below = unstable_alone + (alone <= 0.0), below + (verdict.worst_swing < alone)
         print(
             f"{name:14} {point:20} worst {verdict.worst_swing:.3f} ({alone:.3f} without) "
             f"inter-area {verdict.inter_area:.3f} unstable {unstable} of {len(verdict.rows)}",
             flush=True,
         )
+    print(
+        f"{name:14} in all: unstable {gone} of {total} conditions; worst swing below that without control at "
+        f"{below} points; {unstable_alone} points unstable without control"
+    )
 
 
-def faults(name: str, cache: Path, parameters: bool) -> None:
+def faults(name: str, cache: Path, kind: str) -> None:
     """Print a line for each operating point, and what of all faults is lost and gained."""
     controller, table = shipped_controller(name), load_design(name)
     if table.acceptance is None:
         print(f"{name:14} its design names no faults")
         return
     count = lost = gained = 0
-    for point, case in unseen(name, parameters).items():
+    for point, case in unseen(name, kind).items():
         there = {branch.name for branch in case.branches}
         places = [*table.acceptance.fault, *PLACES.get(table.grid.name, ())]
         places = [place for place in places if place.trip is None or place.trip in there]
@@ -195,10 +232,11 @@ def faults(name: str, cache: Path, parameters: bool) -> None:
 
 def main(arguments: list[str]) -> None:
     """Print what each shipped controller that is named holds, or all of them."""
-    names = [name for name in arguments if name not in ("--faults", "--parameters")]
+    names = [name for name in arguments if not name.startswith("--")]
+    kind = next((word for word in (PARAMETERS, PAIRS) if word in arguments), "")
     for name in names or shipped_names():
         judge = faults if "--faults" in arguments else small_signal
-        judge(name, default_cache(), "--parameters" in arguments)
+        judge(name, default_cache(), kind)
 
 
 if __name__ == "__main__":
