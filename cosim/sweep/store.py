@@ -305,5 +305,5 @@ def _short(value: Any) -> str:
 
 def _anything(folder: Path) -> bool:
     """Whether a folder without a manifest holds anything but what a sweep leaves that was killed at once."""
-    ours = (_LOCK, _WORK, ROWS, CURVES, "sweep.json")
+    ours = {_LOCK, _WORK, ROWS, CURVES, "sweep.json", *(p.name for p in folder.glob(".*.partial"))}
     return any(p.name not in ours for p in folder.iterdir()) or bool(parts_of(folder))

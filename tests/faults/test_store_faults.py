@@ -89,3 +89,12 @@ def test_a_fault_while_failed_runs_are_taken_away_costs_nothing(tmp_path: Path) 
             break
         count += 1
     assert 8 <= count < 199
+
+
+def test_a_sweep_killed_while_it_wrote_its_first_file_goes_on(tmp_path: Path) -> None:
+    """What stands there then: the lock, a folder, and a file that has no name yet."""
+    (tmp_path / "runs").mkdir()
+    for name in (".lock", ".sweep.json-17626-xj10z9m4.partial"):
+        (tmp_path / name).touch()
+    finished(tmp_path)
+    assert not list(tmp_path.glob(".*.partial"))
