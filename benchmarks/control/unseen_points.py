@@ -121,12 +121,12 @@ def judged(case: Case, cache: Path) -> tuple[JudgedPlant, Mapping[str, Mode]]:
     return speeds_in_rad(plant, case.omega_b), named_modes(plant, case) or {}
 
 
-def unseen(name: str, kind: str) -> dict[str, Case]:
+def unseen(name: str, kind: str, cache: Path) -> dict[str, Case]:
     """Return the operating points of `POINTS`, or of another kind, that the design `name` has not got."""
     table = load_design(name)
     if kind == PAIRS:
         single = [c["out"][0] for c in POINTS[table.grid.name].values() if len(c.get("out", ())) == 1]
-        return _worst(_whole(table.grid, itertools.combinations(single, 2)), default_cache())
+        return _worst(_whole(table.grid, itertools.combinations(single, 2)), cache)
     if kind == PARAMETERS:
         known = {text for point in table.point for text in point.vary}
         texts = [text for text in changes_of(table.grid) if text not in known]
@@ -179,7 +179,7 @@ def small_signal(name: str, cache: Path, kind: str) -> None:
     """Print a line for each operating point, and how many conditions are unstable."""
     controller, table = shipped_controller(name), load_design(name)
     total = gone = unstable_alone = below = 0
-    for point, case in unseen(name, kind).items():
+    for point, case in unseen(name, kind, cache).items():
         try:
             plant, modes = judged(case, cache)
         except (PowerFlowError, ModeError) as error:
@@ -213,7 +213,7 @@ def faults(name: str, cache: Path, kind: str) -> None:
         print(f"{name:14} its design names no faults")
         return
     count = lost = gained = 0
-    for point, case in unseen(name, kind).items():
+    for point, case in unseen(name, kind, cache).items():
         there = {branch.name for branch in case.branches}
         places = [*table.acceptance.fault, *PLACES.get(table.grid.name, ())]
         places = [place for place in places if place.trip is None or place.trip in there]

@@ -270,7 +270,7 @@ def _measuring_buses(case: Case, row: Converter) -> tuple[int, ...]:
     """The bus that a plant control regulates, and both ends of its branch, the measured one first."""
     if row.measures is None:
         return () if row.regulates is None else (row.regulates,)
-    branch = next(b for b in case.branches if b.name == row.measures)
+    branch = case.branch(row.measures)
     ends = (branch.from_bus, branch.to_bus)
     return (row.regulates or row.bus, *(ends if row.measures_from in (None, ends[0]) else ends[::-1]))
 
