@@ -160,7 +160,7 @@ HEADER = (
     "what is wrong",
     "signal",
     "runs",
-    "lost, swinging alone",
+    "lost, swinging without detector",
     "with detector",
     "seen",
     "median (s)",
