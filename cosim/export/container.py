@@ -19,7 +19,7 @@ from ..errors import ScenarioError
 from ..run.controllers import ControllerLike
 from ..run.instance import Fmus
 from ..scenario.scenario import Scenario
-from .instances import members_of
+from .instances import Members, members_of
 
 
 def write_container(
@@ -63,7 +63,12 @@ def container_block(
     ------
     ScenarioError : a loop that one block cannot hold.
     """
-    loop = members_of(scenario, cache=cache, controller=controller, case=case, fmus=fmus)
+    return block_of_members(members_of(scenario, cache=cache, controller=controller, case=case, fmus=fmus))
+
+
+def block_of_members(loop: Members) -> Block:
+    """Return the block that holds all instances of a scenario; ScenarioError where one block cannot."""
+    scenario = loop.scenario
     foreign = [m.name for m in loop.all if m.block is None]
     if foreign:
         raise ScenarioError(

@@ -13,10 +13,11 @@ from interarea.models.case.case import Case
 
 from ..errors import ScenarioError
 from ..master.instances import Value
-from ..master.step_choice import choose_step
+from ..master.plan import LoopPlan
 from ..run.controllers import ControllerLike
 from ..run.instance import Fmus
 from ..run.run import system_of
+from ..run.system import System
 from ..scenario.scenario import Scenario
 
 
@@ -48,12 +49,22 @@ class Member:
 
 @dataclass(frozen=True)
 class Members:
-    """Instances of a scenario, connections ("instance.output", "instance.input"), step to run it with."""
+    """The system of a scenario, its instances, and its loop as it is when they are there."""
 
     scenario: Scenario
+    system: System
     all: tuple[Member, ...]
-    connections: tuple[tuple[str, str], ...]
-    step_s: float
+    plan: LoopPlan
+
+    @property
+    def connections(self) -> tuple[tuple[str, str], ...]:
+        """Pairs ("instance.output", "instance.input")."""
+        return tuple(self.plan.connections)
+
+    @property
+    def step_s(self) -> float:
+        """The communication step, s."""
+        return self.plan.chosen_step[0]
 
 
 def members_of(
@@ -82,7 +93,4 @@ def members_of(
         Member(i.name, i.file, None if i.block is None else i.block(), i.start)
         for i in system.instances.values()
     )
-    latencies = [line.least_latency_s for line in system.channels.values()]
-    instants = [scenario.stop_s, *scenario.event_times_s]
-    step_s = choose_step(latencies, instants) if scenario.step_s is None else scenario.step_s
-    return Members(scenario, members, tuple(system.connections), step_s)
+    return Members(scenario, system, members, system.plan)

@@ -23,12 +23,10 @@ from ..results.metrics import METRICS, RING_DOWN
 from ..results.run import Run
 from ..run.controllers import ControllerLike
 from ..run.linear_loop import linear_swings
-from ..run.run import system_of
-from ..run.swing_signal import swing_of
 from ..scenario.channels import Delays
 from ..scenario.scenario import Scenario, load_scenario
 from ..trajectory import TIME, Trajectory
-from .container import container_block
+from .container import block_of_members
 from .instances import Members, members_of
 
 _NAME = "loop"  #: of the one instance
@@ -56,18 +54,17 @@ def run_joint(
     if not loaded.case:
         raise ScenarioError(f"{loaded.name}: case is missing; user-defined FMUs are stepped by a master")
     folder = default_cache() if cache is None else cache
-    block = container_block(loaded, cache=folder, controller=controller)
     members = members_of(loaded, cache=folder, controller=controller)
-    participant = participant_of(_NAME, FmuFile(block_fmu(block, folder)), {})
-    with Master(LoopPlan((), stop_s=loaded.stop_s, step_s=members.step_s), [participant]) as master:
+    system, case = members.system, members.system.case
+    container = FmuFile(block_fmu(block_of_members(members), folder))
+    plan = LoopPlan((), stop_s=loaded.stop_s, step_s=members.step_s)
+    with Master(plan, [participant_of(_NAME, container, {})]) as master:
         trajectory = _named(master.run(progress=progress), members)
     ledger = _ledger(loaded, members)
-    case = loaded.load_case()
-    swing = swing_of(case, folder, loaded.swing)
+    assert system.swing is not None  # of a scenario with a case
     requested, stop_s = (*METRICS, RING_DOWN), float(trajectory.time_s[-1])
-    judge = Judge(case, swing, loaded, step_s=members.step_s, stop_s=stop_s, wanted=requested)
+    judge = Judge(case, system.swing, loaded, step_s=members.step_s, stop_s=stop_s, wanted=requested)
     judge.add(trajectory)
-    system = system_of(loaded, cache=folder, controller=controller)
     loop = system.linear_loop()
     limits = [float(m.start.get("limit", _limit(m))) for m in members.all if m.name == "controller"]
     return Run(
@@ -78,7 +75,7 @@ def run_joint(
         warnings=tuple(system.warnings),
         scenario=loaded,
         case=case,
-        swing=swing,
+        swing=system.swing,
         measure=lambda: judge.metrics(next(iter(limits), None), linear_swings(loop)),
     )
 

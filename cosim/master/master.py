@@ -41,7 +41,7 @@ from .node import Node
 from .plan import Engine, LoopPlan
 from .records import Fork, Records, Sink, Snapshot
 from .signals import Signal
-from .step_choice import clock_of, latency_ticks, step_and_reason
+from .step_choice import clock_of, latency_ticks
 from .stepping import Stepping, make_nodes, make_signals
 
 Progress = Callable[[float, float], object]
@@ -69,11 +69,7 @@ class Master:
         descriptions = {n: p.description for n, p in self.participants.items()}
         pairs = tuple(plan.connections)
         ticks = latency_ticks(plan.latency_s, descriptions)
-        self.step_s, self.step_reason = (
-            (plan.step_s, "given")
-            if plan.step_s is not None
-            else step_and_reason(plan.latency_s.values(), [plan.stop_s, *plan.event_times_s])
-        )
+        self.step_s, self.step_reason = plan.chosen_step
         holds = plan.inputs.startswith("hold")
         self.clock = clock_of(
             descriptions,

@@ -8,6 +8,7 @@ from typing import Literal, get_args
 
 from ..errors import GraphError
 from ..stepping_words import EARLY, INPUTS, LOOPS, Early, Inputs, Loops, early_word
+from .step_choice import step_and_reason
 
 Engine = Literal["auto", "kernel", "python"]
 ENGINES: tuple[Engine, ...] = get_args(Engine)
@@ -21,7 +22,7 @@ class LoopPlan:
     ----------
     connections : pairs ("instance.output", "instance.input"), in any order.
     start_s, stop_s : s.
-    step_s : communication step H, s; None: chosen from the latencies (`step_and_reason`).
+    step_s : communication step H, s; None: chosen from latencies and instants (`chosen_step`).
     event_times_s : instants that must be communication points (events, outages), s.
     points : further communication points, ticks: instants at which a held signal changes (`Clock`);
         left out when all inputs are held, as plain masters do.
@@ -78,3 +79,10 @@ class LoopPlan:
                 raise GraphError(f"{key} = {getattr(self, key)!r}: allowed are {', '.join(allowed)}")
         if self.early == "roll back" and self.engine == "kernel":
             raise GraphError('engine = "kernel" cannot roll back early returns; use engine = "auto"')
+
+    @property
+    def chosen_step(self) -> tuple[float, str]:
+        """The communication step H, s, and why it is that: given, or by `step_and_reason`."""
+        if self.step_s is not None:
+            return self.step_s, "given"
+        return step_and_reason(self.latency_s.values(), [self.stop_s, *self.event_times_s])

@@ -43,11 +43,6 @@ def step_and_reason(latencies_s: Iterable[float], instants_s: Iterable[float] = 
     return seconds(limit), f"chosen: {why}"
 
 
-def choose_step(latencies_s: Iterable[float], instants_s: Iterable[float] = ()) -> float:
-    """Return H as `step_and_reason` chooses it."""
-    return step_and_reason(latencies_s, instants_s)[0]
-
-
 def latency_ticks(latency_s: Mapping[str, float], known: Collection[str]) -> dict[str, int]:
     """Return latencies of instances in ticks. Raises GraphError for one that is not `known`."""
     for name in latency_s:
