@@ -13,11 +13,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
 import numpy.typing as npt
 
 from interarea.models.blocks.binary_table import pack_record
-from interarea.models.blocks.container import CHAIN_KINDS, chain_sources
+from interarea.models.blocks.container import CHAIN_KINDS, chain_sources, shown_name
 from interarea.models.blocks.variables import Block, Variable
 from interarea.models.files import write_whole
 
@@ -33,6 +32,7 @@ _LEAST_ROOM = 1 << 14  #: for a record, bytes
 MOST_MEMBERS = 24  #: c/dll/real_code.c
 UNBOUNDED = 1e30  #: range of a parameter that has none: tools want a number
 _ROLES = ("input", "output", "parameter")
+_SAMPLED = ("channel", "pmu")  #: kinds of blocks that step themselves
 _Row = tuple[int, int, int, int]
 _Feed = tuple[_Row, _Row]  #: from, to
 _ENTRY = re.compile(r"[A-Za-z_]\w*\[\d+,\d+\]")  #: of a matrix
@@ -136,9 +136,7 @@ def dll_sources(block: Sequence[Path], record_size: int) -> dict[str, bytes]:
 
     The functions of FMI are called inside only: a library that exported them could be given those of another.
     """
-    room = _LEAST_ROOM
-    while room < record_size:
-        room *= 2
+    room = max(_LEAST_ROOM, 1 << (record_size - 1).bit_length())
     layer = tuple(p for p in fmi_sources() if p.stem in _LAYER)
     sources = gather_sources((*layer, _FRONT, *block, record_source()))
     sources[_FRONT.name] = b"#define CAPACITY %d\n" % room + sources[_FRONT.name]
@@ -167,16 +165,12 @@ def _ports(chain: Chain, alone: bool) -> dict[str, _Port]:
     """
     ports = {}
     for k, (member, block) in enumerate(chain.members.items()):
-        keeps = block.kind in ("controller", "supervisor")
         for v in block.table:
-            own = alone or (keeps and v.role != "parameter" and v.type == "Real")
-            if v.role in _ROLES and not (v.role == "parameter" and _ENTRY.fullmatch(v.name)):
-                fixed = v.role == "parameter" and not v.tunable
-                reference, shown = (
-                    block.table.value_reference(v.name),
-                    v.name if own else f"{member}.{v.name}",
-                )
-                ports[f"{member}.{v.name}"] = _Port(shown, v, v.type != "Real", reference, fixed, k)
+            name, parameter = f"{member}.{v.name}", v.role == "parameter"
+            if v.role in _ROLES and not (parameter and _ENTRY.fullmatch(v.name)):
+                shown = v.name if alone else name if parameter else shown_name(member, block.kind, v)
+                reference = block.table.value_reference(v.name)
+                ports[name] = _Port(shown, v, v.type != "Real", reference, parameter and not v.tunable, k)
     return ports
 
 
@@ -202,8 +196,9 @@ def _wires(chain: Chain, ports: Mapping[str, _Port]) -> Iterator[_Feed]:
         yield source[2:], target[2:]
 
 
-def _check(block: Block | Chain, kinds: Sequence[str], groups: Iterable[Sequence[_Port]]) -> None:
-    strange = set(kinds) - set(CHAIN_KINDS) if isinstance(block, Chain) else {"plant"} & set(kinds)
+def _check(block: Block | Chain, chain: Chain, groups: Iterable[Sequence[_Port]]) -> None:
+    kinds = [b.kind for b in chain.members.values()]
+    strange = set(kinds) - set(CHAIN_KINDS) if chain is block else {"plant"} & set(kinds)
     if strange or not 1 <= len(kinds) <= MOST_MEMBERS:
         raise BuildError(
             f"{block.name} is a {block.kind} of {', '.join(kinds) or 'nothing'}, allowed for a DLL: "
@@ -223,27 +218,22 @@ def entries_of(block: Block | Chain, sample_time_s: float) -> dict[str, npt.Arra
     ports, fed = _ports(chain, alone=chain is not block), {target for _, target in chain.connections}
     shown = [p for name, p in ports.items() if name not in fed]  # what a connection feeds is no input
     groups = [[p for p in shown if p.variable.role == role] for role in _ROLES]
-    _check(block, [b.kind for b in chain.members.values()], groups)
+    _check(block, chain, groups)
     inputs, outputs, parameters = groups
     of_tool: list[_Feed] = [((0, k, 0, -1), p[2:]) for k, p in enumerate(inputs)]  # member -1: the tool
     entries: dict[str, npt.ArrayLike | bytes] = {
-        "dll.counts": np.array([*map(len, groups), len(chain.members)], dtype=np.int32),
-        "dll.ports": np.array([p[2:] for p in (*outputs, *parameters)], dtype=np.int32),
-        "dll.feeds": np.array([*of_tool, *_wires(chain, ports)], dtype=np.int32),
-        "dll.range": np.array([sample_time_s, *(x for p in parameters for x in _range(p.variable))]),
+        "dll.counts": [*map(len, groups), len(chain.members)],
+        "dll.ports": [p[2:] for p in (*outputs, *parameters)],
+        "dll.feeds": [*of_tool, *_wires(chain, ports)],
+        "dll.range": [sample_time_s, *(x for p in parameters for x in _range(p.variable))],
         "dll.text": b"".join(text.encode() + b"\0" for text in _texts(block, groups)),
     }
     for k, b in enumerate(chain.members.values()):
-        entries[f"member.{k}.record"] = pack_record(record_entries(b) | _own_kind(b, chain is block))
+        record = record_entries(b)
+        if chain is block:  # whose C takes members of several kinds
+            record |= {"member.kind": [CHAIN_KINDS.index(b.kind)], "sampled": [int(b.kind in _SAMPLED)]}
+        entries[f"member.{k}.record"] = pack_record(record)
     return entries
-
-
-def _own_kind(member: Block, of_chain: bool) -> dict[str, npt.ArrayLike | bytes]:
-    """Entries that tell the C of a chain which kind of block a member is."""
-    if not of_chain:
-        return {}
-    kind, sampled = CHAIN_KINDS.index(member.kind), member.kind in ("channel", "pmu")
-    return {"member.kind": np.array([kind], dtype=np.int32), "sampled": np.array([sampled], dtype=np.int32)}
 
 
 def _range(v: Variable) -> tuple[float, float, float]:

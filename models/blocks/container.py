@@ -170,8 +170,8 @@ def _check_pairs(name: str, pairs: Sequence[tuple[str, str]], by_name: Mapping[s
 
 
 def shown_name(member: str, kind: str, output: Variable) -> str:
-    """Return what the loop calls an output of one of its members, a block of that kind."""
-    own = kind == "channel" or output.type != "Real"
+    """Return what a loop calls an output of a member of that kind, and a chain an input or output."""
+    own = kind in ("channel", "pmu") or output.type != "Real"
     return f"{member}_{output.name}" if own else output.name
 
 

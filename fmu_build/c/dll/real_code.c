@@ -47,13 +47,14 @@ typedef struct {
     size_t memory;              /* where its part of the double states begins, bytes */
 } Member;
 
-enum { MOST_PORTS = CAPACITY / sizeof(Port) };  /* more of one sort do not fit into a record */
+enum { MOST_PORTS = CAPACITY / sizeof(Port), MOST_TEXTS = 4 + 4 * MOST_PORTS }; /* more do not fit into a record */
 static struct {
     int32_t tag, n_members;
     Member member[MOST_MEMBERS];
     size_t n_feeds;
     const Feed *feeds;          /* first of the tool's inputs, in their order */
     const Port *outputs, *parameters;
+    const char *text[MOST_TEXTS];
     const RealCodeInfo *told;   /* what Model_GetInfo gives; null where no export has completed the library */
     RealCodeInfo info;
     RealCodeSignal signal[MOST_PORTS];
@@ -62,15 +63,6 @@ static struct {
                     .modified_by = "interarea", .comment = "", .history = "", .mode = REAL_CODE_EMT_AND_RMS,
                     .inputs = model.signal, .parameters = model.parameter, .n_int = I_COUNT}};
 
-/* The next n of the zero-terminated texts that lie before `end`. */
-static void next(const char *to[], int n, const char **text, const char *end)
-{
-    for (int k = 0; k < n; ++k) {
-        to[k] = *text < end ? *text : "";
-        if (*text < end) *text += strlen(*text) + 1;
-    }
-}
-
 /* Everything that Model_GetInfo gives. Returns 0 where the record has no such description. */
 static int describe(const Record *record)
 {
@@ -78,7 +70,7 @@ static int describe(const Record *record)
     size_t n_counts, n_ports, n_feeds, n_range, n_text;
     const int32_t *n = record_i32(record, "dll.counts", &n_counts);
     const double *range = record_f64(record, "dll.range", &n_range);
-    const char *text = record_text(record, "dll.text", &n_text), *const end = text + n_text, *t[4];
+    const char *text = record_text(record, "dll.text", &n_text), *const end = text + n_text, **t = model.text;
 
     model.outputs = (const Port *)record_i32(record, "dll.ports", &n_ports);
     model.feeds = (const Feed *)record_i32(record, "dll.feeds", &n_feeds);
@@ -90,18 +82,15 @@ static int describe(const Record *record)
     info->outputs = model.signal + n[0];
     model.parameters = model.outputs + n[1];
     info->sample_time = *range++;
-    next(t, 4, &text, end);
+    for (size_t k = 0; k < MOST_TEXTS && text < end; ++k, text += strlen(text) + 1) t[k] = text;
     info->name = t[0], info->model_version = t[1], info->description = t[2], info->general = t[3];
-    for (int32_t k = 0; k < n[0] + n[1]; ++k) {
-        next(t, 3, &text, end);
+    t += 4;
+    for (int32_t k = 0; k < n[0] + n[1]; ++k, t += 3)
         model.signal[k] = (RealCodeSignal){t[0], t[1], t[2], REAL_CODE_REAL64, 1};
-    }
-    for (int32_t k = 0; k < n[2]; ++k, range += 3) {
-        next(t, 4, &text, end);
+    for (int32_t k = 0; k < n[2]; ++k, t += 4, range += 3)
         model.parameter[k] = (RealCodeParameter){t[0], t[1], t[2], t[3], REAL_CODE_REAL64, model.parameters[k].fixed,
                                                  {range[0]}, {range[1]}, {range[2]}};
-    }
-    return 1;
+    return t[-1] != NULL;       /* there are texts for all */
 }
 
 /* Reads member k of the record and places it behind those before; returns 0 where it cannot be. */
