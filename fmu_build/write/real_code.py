@@ -225,7 +225,7 @@ def entries_of(block: Block | Chain, sample_time_s: float) -> dict[str, npt.Arra
         "dll.counts": [*map(len, groups), len(chain.members)],
         "dll.ports": [p[2:] for p in (*outputs, *parameters)],
         "dll.feeds": [*of_tool, *_wires(chain, ports)],
-        "dll.range": [sample_time_s, *(x for p in parameters for x in _range(p.variable))],
+        "dll.range": [float(sample_time_s), *(x for p in parameters for x in _range(p.variable))],
         "dll.text": b"".join(text.encode() + b"\0" for text in _texts(block, groups)),
     }
     for k, b in enumerate(chain.members.values()):

@@ -49,13 +49,13 @@ typedef struct {
 
 enum { MOST_PORTS = CAPACITY / sizeof(Port), MOST_TEXTS = 4 + 4 * MOST_PORTS }; /* more do not fit into a record */
 static struct {
-    int32_t tag, n_members;
+    int32_t tag;                /* of the record; 0 where no export has completed the library */
+    int32_t n_members;
     Member member[MOST_MEMBERS];
     size_t n_feeds;
     const Feed *feeds;          /* first of the tool's inputs, in their order */
     const Port *outputs, *parameters;
     const char *text[MOST_TEXTS];
-    const RealCodeInfo *told;   /* what Model_GetInfo gives; null where no export has completed the library */
     RealCodeInfo info;
     RealCodeSignal signal[MOST_PORTS];
     RealCodeParameter parameter[MOST_PORTS];
@@ -63,21 +63,18 @@ static struct {
                     .modified_by = "interarea", .comment = "", .history = "", .mode = REAL_CODE_EMT_AND_RMS,
                     .inputs = model.signal, .parameters = model.parameter, .n_int = I_COUNT}};
 
-/* Everything that Model_GetInfo gives. Returns 0 where the record has no such description. */
-static int describe(const Record *record)
+/* Everything that Model_GetInfo gives, of a record whose check sum says that it is what an export has written. */
+static void describe(const Record *record)
 {
     RealCodeInfo *const info = &model.info;
-    size_t n_counts, n_ports, n_feeds, n_range, n_text;
-    const int32_t *n = record_i32(record, "dll.counts", &n_counts);
-    const double *range = record_f64(record, "dll.range", &n_range);
-    const char *text = record_text(record, "dll.text", &n_text), *const end = text + n_text, **t = model.text;
+    size_t size;
+    const int32_t *n = record_i32(record, "dll.counts", &size);
+    const double *range = record_f64(record, "dll.range", &size);
+    const char *text = record_text(record, "dll.text", &size), *const end = text + size, **t = model.text;
 
-    model.outputs = (const Port *)record_i32(record, "dll.ports", &n_ports);
-    model.feeds = (const Feed *)record_i32(record, "dll.feeds", &n_feeds);
-    model.n_feeds = n_feeds / 8;
-    if (n_counts != 4 || n_ports != 4 * (size_t)(n[1] + n[2]) || model.n_feeds < (size_t)n[0]
-        || n_range != 1 + 3 * (size_t)n[2] || n[3] < 1 || n[3] > MOST_MEMBERS || n_text < 1 || end[-1] != 0)
-        return 0;
+    model.outputs = (const Port *)record_i32(record, "dll.ports", &size);
+    model.feeds = (const Feed *)record_i32(record, "dll.feeds", &size);
+    model.n_feeds = size * sizeof(int32_t) / sizeof(Feed);
     info->n_inputs = n[0], info->n_outputs = n[1], info->n_parameters = n[2], model.n_members = n[3];
     info->outputs = model.signal + n[0];
     model.parameters = model.outputs + n[1];
@@ -90,7 +87,6 @@ static int describe(const Record *record)
     for (int32_t k = 0; k < n[2]; ++k, t += 4, range += 3)
         model.parameter[k] = (RealCodeParameter){t[0], t[1], t[2], t[3], REAL_CODE_REAL64, model.parameters[k].fixed,
                                                  {range[0]}, {range[1]}, {range[2]}};
-    return t[-1] != NULL;       /* there are texts for all */
 }
 
 /* Reads member k of the record and places it behind those before; returns 0 where it cannot be. */
@@ -121,12 +117,12 @@ __attribute__((constructor)) static void load(void)
     uint64_t size;
 
     memcpy(&size, bytes + 8, sizeof size);
-    if (size > CAPACITY || record_open(&record, bytes, (size_t)size, &reason) != 0 || !describe(&record)) return;
+    if (size > CAPACITY || record_open(&record, bytes, (size_t)size, &reason) != 0) return;
+    describe(&record);
     for (int32_t k = 0; k < model.n_members; ++k)
         if (!take_in(&record, k)) return;
     memcpy(&model.tag, bytes + 16, sizeof model.tag);   /* of the check sum; never that of zeroed states */
     model.tag |= 1;
-    model.told = &model.info;
 }
 
 /* A call under way. */
@@ -269,7 +265,7 @@ static int32_t agree(RealCodeInstance *tool)
     return REAL_CODE_OK;
 }
 
-EXPORTED const RealCodeInfo *Model_GetInfo(void) { return model.told; }
+EXPORTED const RealCodeInfo *Model_GetInfo(void) { return model.tag != 0 ? &model.info : NULL; }
 EXPORTED int32_t Model_FirstCall(RealCodeInstance *tool) { return agree(tool); }
 EXPORTED int32_t Model_Terminate(RealCodeInstance *tool) { return agree(tool); }
 /* Of RMS tools, after Model_Outputs: the outputs are right already. */
@@ -347,7 +343,7 @@ EXPORTED int32_t Model_Outputs(RealCodeInstance *tool)
 
 EXPORTED int32_t Model_PrintInfo(void)
 {
-    const RealCodeInfo *told = model.told;
+    const RealCodeInfo *told = Model_GetInfo();
 
     if (told != NULL) (void)printf("%s %s: %s\n", told->name, told->model_version, told->description);
     return REAL_CODE_OK;
