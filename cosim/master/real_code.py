@@ -11,6 +11,7 @@ from interarea.fmu_build.open.ports import Description, Port
 from interarea.fmu_build.open.real_code import ERROR, OK, TEXT, RealCode, RealCodeLibrary, text_of
 
 from ..errors import GraphError, StepError
+from ..polynomials import Polynomial, value_at
 from .fmu_log import SpokenLog
 from .instances import Value
 
@@ -34,29 +35,28 @@ class ServedRealCode:
         self.stops_early = False
         self.log = SpokenLog(name, lambda: self.time_s)
         self.time_s: float | None = None
-        self._begun = False  #: with start values, inputs and a model, which `set_start`, `bind`, `begin` set
+        self._begun = False
         self.y: list[float] = []
         self.dy = ()  #: outputs are held
 
     def set_start(self, start: Mapping[str, Value]) -> None:
-        """Take values of parameters, inputs and outputs for the next `begin`."""
+        """Make a new instance with values of parameters, inputs and outputs."""
+        self.close()
         try:
-            RealCode(self.library, start)
+            self._model = RealCode(self.library, start)
         except FmuFileError as error:
             raise GraphError(f"{self.name}: {error}") from None
-        self._start = start
 
     def bind(self, inputs: tuple[str, ...], slopes: tuple[str, ...]) -> None:
         """Fix the inputs that will be sent."""
         self._bound = inputs
 
     def begin(self, start_s: float, stop_s: float) -> None:
-        """Make a new instance with its start values."""
-        self.close()
-        self._model, self._begun = RealCode(self.library, self._start), True
+        """Begin what `set_start` has made."""
+        self._begun = True
         self.time_s = self._origin = start_s
         self._sample = 0
-        self._poly: dict[str, list[float]] = {}
+        self._poly: dict[str, Polynomial] = {}
         self._call("Model_FirstCall")
         self._call("Model_CheckParameters")
 
@@ -68,16 +68,16 @@ class ServedRealCode:
     def take(self, order: int, u: list[float], du: list[float]) -> None:
         """Take inputs and their derivatives up to `order`."""
         for k, name in enumerate(self._bound):
-            self._poly[name] = [u[k], *(du[3 * k + m] if m < order else 0.0 for m in range(3))]
+            d1, d2, d3 = (du[3 * k + m] if m < order else 0.0 for m in range(3))
+            self._poly[name] = (u[k], d1, d2, d3)
             self._model.inputs[name] = u[k]
 
     def advance(self, time_s: float, length_s: float) -> None:
         """Call the DLL at each of its sample times up to the end of the step."""
         step = self.library.info.sample_time
         while (at := self._origin + (self._sample + 1) * step) <= time_s + length_s + _SLACK * step:
-            h = at - time_s
-            for name, (u, d1, d2, d3) in self._poly.items():
-                self._model.inputs[name] = u + h * (d1 + h * (d2 / 2.0 + h * d3 / 6.0))
+            for name, polynomial in self._poly.items():
+                self._model.inputs[name] = value_at(polynomial, at - time_s)
             self.time_s = at
             self._call("Model_Outputs")
             self._sample += 1

@@ -71,7 +71,7 @@ def _folders_here() -> tuple[str, ...]:
 
 def loadable_here(image: Image) -> bool:
     """Return whether this machine can load a library."""
-    return any(FOLDERS[name][:2] == (image.format, image.machine) for name in _folders_here())
+    return not set(image.folders).isdisjoint(_folders_here())
 
 
 def _binary(folder: Path, identifier: str) -> Path | None:

@@ -10,7 +10,8 @@ import ctypes
 import math
 import re
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from ..finding import Report
@@ -22,12 +23,32 @@ from .runs import Tell
 INTERFACE = "DLL"
 _STEPS = 40
 _UNWRITTEN = 0xA5  #: bytes between outputs
-_Topic = Callable[[RealCodeLibrary, Tell], None]
 _Swing = tuple[float, float]  #: mean and amplitude of the inputs
 _NEAR_ONE: _Swing = (1.0, 0.1)
 _SWINGS: tuple[_Swing, ...] = (_NEAR_ONE, (0.0, 1e-3))
-_BITS = {"x86": 32, "x86_64": 64, "arm64": 64}
-_SYSTEMS = {"PE": "Windows", "ELF": "Linux", "Mach-O": "macOS"}
+#: topic and rule -> what is wrong where a run is another one when a tool does that besides, what to do
+_BESIDES = {
+    "alignment": (
+        "reads bytes of a structure that lie between its ports",
+        "lay structures out in natural alignment: no packing",
+    ),
+    "repeated calls": (
+        "Model_Initialize called five times gives another run than called once",
+        "start from the arguments alone: tools call it until the release time",
+    ),
+    "restart": (
+        "after a run, Model_Initialize at time 0 does not begin the same run",
+        "set every state in Model_Initialize: time goes back in multiple runs",
+    ),
+    "instances": (
+        "an instance runs otherwise when another one runs beside it",
+        "keep no variable of a run outside the instance: no globals, no static",
+    ),
+    "snapshots": (
+        "continued from its state arrays it runs otherwise",
+        "keep all states in IntStates, FloatStates and DoubleStates",
+    ),
+}
 
 
 def check_library(path: Path, report: Report) -> bool:
@@ -37,10 +58,11 @@ def check_library(path: Path, report: Report) -> bool:
     except ImageError as error:
         report.add("DLL file", path.name, f"cannot be read: {error}", "give the compiled DLL")
         return False
-    bits = _BITS.get(image.machine, 0)
+    kind = next(iter(image.folders), "")
+    bits = "32" if kind.endswith("32") else "64"
     parts = (*path.parts[-3:-1], path.stem)
     declared = {b for part in parts for b in re.findall(r"(?:win|linux|bin|_)(32|64)$", part)}
-    if declared and str(bits) not in declared:
+    if kind and declared and bits not in declared:
         reason = f"has {bits} bits; its name or folder says {' and '.join(sorted(declared))}"
         advice = "build it for the tool that loads it: ATP takes 32 bits, PSCAD those of its Fortran compiler"
         report.add("DLL bits", path.name, reason, advice)
@@ -50,26 +72,22 @@ def check_library(path: Path, report: Report) -> bool:
         report.add("DLL functions", path.name, reason, "export them under these names, as C functions")
     loads = loadable_here(image)
     if not loads:
-        system = _SYSTEMS[image.format]
-        report.not_run.append(f"a {bits}-bit library for {system} ({image.machine}) cannot be loaded here")
+        report.not_run.append(f"a library for {kind or image.machine} cannot be loaded here")
     return loads and not missing
 
 
 class _Tool(RealCode):
-    """An instance as a tool drives it, begun: `code` is the worst return code of that.
+    """An instance as a tool drives it; `code` is what its start or its last step has returned."""
 
-    times : how often it is asked to check and to initialise. fill : bytes between the ports that it reads.
-    """
-
-    def __init__(
-        self, library: RealCodeLibrary, swing: _Swing = _NEAR_ONE, *, times: int = 1, fill: int = 0
-    ) -> None:
+    def __init__(self, library: RealCodeLibrary, swing: _Swing = _NEAR_ONE) -> None:
         super().__init__(library)
         self.swing, self.step_s = swing, library.info.sample_time
-        self.start(times, fill)
 
-    def start(self, times: int = 1, fill: int = 0) -> None:
-        """Do what a tool does before the first step."""
+    def start(self, times: int = 1, fill: int = 0) -> _Tool:
+        """Do what a tool does before the first step; return the instance.
+
+        times : how often it is to check and to initialise. fill : bytes between the ports that it reads.
+        """
         _pad(self.inputs, fill)
         _pad(self.parameters, fill)
         self.excite(0)
@@ -79,6 +97,7 @@ class _Tool(RealCode):
             self.outputs.buffer[:] = bytes(len(self.outputs.buffer))
             self.code = max(self.code, self.call("Model_Initialize"))
         _pad(self.outputs, _UNWRITTEN)
+        return self
 
     def excite(self, k: int) -> None:
         """Set the inputs of step k."""
@@ -92,9 +111,9 @@ class _Tool(RealCode):
         self.code = self.call("Model_Outputs", k * self.step_s)
         return bytes(self.outputs.buffer)
 
-    def run(self, steps: Iterable[int] = range(1, _STEPS)) -> list[bytes]:
+    def run(self, first: int = 1) -> list[bytes]:
         """Return the outputs after each step."""
-        return [self.step(k) for k in steps]
+        return [self.step(k) for k in range(first, _STEPS)]
 
 
 def _gaps(values: Values) -> list[int]:
@@ -129,7 +148,7 @@ def description(library: RealCodeLibrary, tell: Tell) -> None:
     version = tuple(info.version)
     if version[0] != 1:
         tell("DLL version", INTERFACE, f"is {version}, allowed: 1.x", "write the interface's version")
-    model = _Tool(library)
+    model = _Tool(library).start()
     if model.code >= ERROR:
         reason = f"refuses its own defaults: {model.text()}"
         tell("DLL start", INTERFACE, reason, "give defaults that it takes")
@@ -137,7 +156,7 @@ def description(library: RealCodeLibrary, tell: Tell) -> None:
 
 def finite(library: RealCodeLibrary, tell: Tell) -> None:
     """Finite inputs near 1 give finite outputs, or a return code of 2."""
-    model = _Tool(library)
+    model = _Tool(library).start()
     if model.code >= ERROR:
         return
     reals = [p.name for p in library.outputs if p.type in (8, 9)]
@@ -151,59 +170,37 @@ def finite(library: RealCodeLibrary, tell: Tell) -> None:
             return
 
 
-def padding(library: RealCodeLibrary, tell: Tell) -> None:
-    """Bytes between the ports of a structure are neither read nor written."""
-    for swing in _SWINGS:
-        one, other, again = (_Tool(library, swing, fill=fill).run() for fill in (0x00, 0x5A, 0x00))
-        written = any(row[at] != _UNWRITTEN for row in one for at in _gaps(Values(library.outputs)))
-        done = "writes" if written else "reads" if one == again != other else ""
-        if done:
-            reason = f"{done} bytes of a structure that lie between its ports"
-            tell("DLL alignment", INTERFACE, reason, "lay structures out in natural alignment: no packing")
-            return
-
-
-def _repeated_start(library: RealCodeLibrary, swing: _Swing) -> bool:
-    return _Tool(library, swing).run() == _Tool(library, swing, times=5).run()
-
-
-def _restart(library: RealCodeLibrary, swing: _Swing) -> bool:
-    model = _Tool(library, swing)
-    first = model.run()
-    model.start()
-    return model.run() == first
-
-
-def _two_instances(library: RealCodeLibrary, swing: _Swing) -> bool:
-    alone = _Tool(library, swing).run()
-    one, other = _Tool(library, swing), _Tool(library, (swing[0] * 0.8, swing[1] * 2))
+def _rows(library: RealCodeLibrary, swing: _Swing, besides: str = "") -> list[bytes]:
+    """Return the outputs of a run; besides : what the tool does beside it, of `_BESIDES`."""
+    times, fill = 5 if besides == "repeated calls" else 1, 0x5A if besides == "alignment" else 0
+    model = _Tool(library, swing).start(times, fill)
+    other = _Tool(library, (swing[0] * 0.8, swing[1] * 2)).start() if besides == "instances" else None
     rows = []
+    if besides == "restart":
+        model.run()
+        model.start()
     for k in range(1, _STEPS):
-        other.step(k + 3)
-        rows.append(one.step(k))
-    return rows == alone
+        if other is not None:
+            other.step(k + 3)
+        if besides == "snapshots" and k == _STEPS // 2:
+            saved = model.snapshot()
+            model.run(first=k)
+            model.restore(saved)
+        rows.append(model.step(k))
+    return rows
 
 
-def _snapshot(library: RealCodeLibrary, swing: _Swing) -> bool:
-    model, rest = _Tool(library, swing), range(_STEPS // 2, _STEPS)
-    model.run(range(1, _STEPS // 2))
-    saved = model.snapshot()
-    rows = model.run(rest)
-    model.restore(saved)
-    return model.run(rest) == rows
-
-
-def _compared(same: Callable[[RealCodeLibrary, _Swing], bool], rule: str, reason: str, advice: str) -> _Topic:
-    def topic(library: RealCodeLibrary, tell: Tell) -> None:
-        if not all(same(library, swing) for swing in _SWINGS):
-            tell(rule, INTERFACE, reason, advice)
-
-    return topic
+def _compare(besides: str, library: RealCodeLibrary, tell: Tell) -> None:
+    """A run is the same one whatever the tool does beside it."""
+    for swing in _SWINGS:
+        one, other, again = (_rows(library, swing, act) for act in ("", besides, ""))
+        if one != other and (one == again or besides != "alignment"):
+            tell(f"DLL {besides}", INTERFACE, *_BESIDES[besides])
 
 
 def messages(library: RealCodeLibrary, tell: Tell) -> None:
     """The texts of two instances do not lie in one place that the DLL writes to."""
-    models = [_Tool(library, swing) for swing in _SWINGS]
+    models = [_Tool(library, swing).start() for swing in _SWINGS]
     for model in models:
         model.step(1)
     for name, field in (("LastErrorMessage", "error"), ("LastGeneralMessage", "message")):
@@ -232,65 +229,42 @@ def leaks(library: RealCodeLibrary, tell: Tell) -> None:
     mallinfo.restype = structure(sizes, ctypes.c_size_t)
     model = _Tool(library)
 
-    def live(k: int) -> None:
+    def growth(calls: tuple[str, ...], count: int) -> int:
         model.start()
-        model.call("Model_Outputs", model.step_s)
-        model.call("Model_Terminate")
-
-    def step(k: int) -> None:
-        model.call("Model_Outputs", k * model.step_s)
-
-    def growth(what: Callable[[int], None], count: int) -> int:
-        model.start()
-        before = mallinfo().uordblks
+        before = int(mallinfo().uordblks)
         for k in range(1, count):
-            what(k)
-        return int(mallinfo().uordblks) - int(before)
+            for call in calls:
+                model.call(call, k * model.step_s)
+        return int(mallinfo().uordblks) - before
 
-    for name, what in (("an instance started and terminated", live), ("a call of Model_Outputs", step)):
-        growth(what, 20)
-        lost = growth(what, 400) - growth(what, 100)
+    life, step = ("Model_FirstCall", *REQUIRED[1:]), ("Model_Outputs",)
+    for name, calls in (("an instance started and terminated", life), ("a call of Model_Outputs", step)):
+        growth(calls, 20)
+        lost = growth(calls, 400) - growth(calls, 100)
         if lost > 300 * 8:
             reason = f"{name} loses {lost / 300:.0f} bytes"
             tell("DLL memory", INTERFACE, reason, "free in Model_Terminate what Model_FirstCall took")
 
 
 def bounds(library: RealCodeLibrary, tell: Tell) -> None:
-    """Nothing is written beside the arrays of states, nor the tool's time."""
+    """Nothing is written beside the arrays of states, nor between outputs, nor over the tool's time."""
     for swing in _SWINGS:
-        model = _Tool(library, swing)
-        model.run()
+        model = _Tool(library, swing).start()
+        rows = model.run()
         for name in model.overrun():
             tell("DLL states", name, "is written beyond its declared number", "declare as many as it writes")
+        if any(row[at] != _UNWRITTEN for row in rows for at in _gaps(model.outputs)):
+            reason = "writes bytes of a structure that lie between its ports"
+            tell("DLL alignment", INTERFACE, reason, _BESIDES["alignment"][1])
         if model.raw.time != (_STEPS - 1) * model.step_s:
             tell("DLL time", INTERFACE, "Model_Outputs changes Time", "leave Time to the tool")
 
 
-TOPICS: dict[str, _Topic] = {
+TOPICS: dict[str, Callable[[RealCodeLibrary, Tell], None]] = {
     "description": description,
     "bounds": bounds,
     "finite outputs": finite,
-    "alignment": padding,
-    "repeated start": _compared(
-        *(_repeated_start, "DLL repeated calls"),
-        "Model_Initialize called five times gives another run than called once",
-        "start from the arguments alone: tools call it until the release time",
-    ),
-    "restart": _compared(
-        *(_restart, "DLL restart"),
-        "after a run, Model_Initialize at time 0 does not begin the same run",
-        "set every state in Model_Initialize: time goes back in multiple runs",
-    ),
-    "two instances": _compared(
-        *(_two_instances, "DLL instances"),
-        "an instance runs otherwise when another one runs beside it",
-        "keep no variable of a run outside the instance: no globals, no static",
-    ),
-    "snapshot": _compared(
-        *(_snapshot, "DLL snapshots"),
-        "continued from its state arrays it runs otherwise",
-        "keep all states in IntStates, FloatStates and DoubleStates",
-    ),
+    **{besides: partial(_compare, besides) for besides in _BESIDES},
     "messages": messages,
     "leaks": leaks,
 }

@@ -42,6 +42,11 @@ class Image:
     glibc: tuple[int, ...] | None = None
     search_path: str = ""
 
+    @property
+    def folders(self) -> list[str]:
+        """Folders of FMUs in which such libraries lie, FMI 2.0's first; none for an unknown machine."""
+        return [name for name, kind in FOLDERS.items() if kind[:2] == (self.format, self.machine)]
+
 
 def read_image(content: bytes) -> Image:
     """Return the facts of a shared library.

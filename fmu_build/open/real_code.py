@@ -77,9 +77,7 @@ def _port(p: Any) -> Port:
     if isinstance(p, _Signal):
         return Port(*texts, p.type, p.width)
     start, low, high = (getattr(v, f"t{p.type}", None) for v in (p.start, p.min, p.max))
-    if p.type == TEXT:
-        start, low, high = text_of(start), None, None
-    return Port(*texts, p.type, 1, bool(p.fixed), start, low, high)
+    return Port(*texts, p.type, 1, bool(p.fixed), text_of(start) if p.type == TEXT else start, low, high)
 
 
 class RealCodeLibrary:
@@ -94,14 +92,14 @@ class RealCodeLibrary:
     def __init__(self, path: Path | str) -> None:
         self.path = Path(path)
         try:
-            self._c = ctypes.CDLL(str(self.path.resolve()))
+            self.c = ctypes.CDLL(str(self.path.resolve()))
         except OSError as error:
             raise FmuFileError(f"{path}: the system cannot load it: {error}") from error
-        missing = [name for name in REQUIRED if not hasattr(self._c, name)]
+        missing = [name for name in REQUIRED if not hasattr(self.c, name)]
         if missing:
             raise FmuFileError(f"{path}: no IEEE/CIGRE DLL: it does not have {', '.join(missing)}")
-        self._c.Model_GetInfo.restype = POINTER(Info)
-        info = self._c.Model_GetInfo()
+        self.c.Model_GetInfo.restype = POINTER(Info)
+        info = self.c.Model_GetInfo()
         if not info:
             raise FmuFileError(f"{path}: Model_GetInfo gives no description")
         i = self.info = info.contents
@@ -120,11 +118,6 @@ class RealCodeLibrary:
             raise FmuFileError(f"{self.path}: Model_GetInfo gives {count} ports, or none in their list")
         return tuple(map(_port, array[:count]))
 
-    def call(self, name: str, instance: ctypes.Structure) -> int:
-        """Call a function of an instance; one that is left out does nothing."""
-        function = getattr(self._c, name, None)
-        return OK if function is None else int(function(ctypes.byref(instance)))
-
 
 class Values:
     """A structure of ports in natural alignment, by name; of an array the first element."""
@@ -139,6 +132,8 @@ class Values:
         array = self._arrays[name]
         if isinstance(value, str):
             array[0] = value.encode()
+        elif array._type_ is c_char_p:
+            raise TypeError("a number is no text")  # ctypes would take it for an address
         else:
             array[0] = int(value) if isinstance(array[0], int) else value
 
@@ -177,20 +172,17 @@ class RealCode:
             except (TypeError, ValueError, OverflowError) as error:
                 wanted = "a number" if isinstance(value, str) else "a text, or a number of the port's type"
                 raise FmuFileError(f"{library.path.name}: {name} = {value!r}, allowed: {wanted}") from error
-        sizes = {
-            "IntStates": 4 * info.n_int,
-            "FloatStates": 4 * info.n_float,
-            "DoubleStates": 8 * info.n_double,
-        }
-        self.states = {name: bytearray(_GUARD + bytes(size) + _GUARD) for name, size in sizes.items()}
+        words = {"IntStates": info.n_int, "FloatStates": info.n_float, "DoubleStates": 2 * info.n_double}
+        self.states = {name: bytearray(_GUARD + bytes(4 * n) + _GUARD) for name, n in words.items()}
         states = (addressof(c_uint8.from_buffer(array, len(_GUARD))) for array in self.states.values())
         self.raw = _Instance(*(addressof(v.structure) for v in groups), 0.0, 1, None, None, *states)
 
     def call(self, name: str, time_s: float | None = None) -> int:
-        """Call a function of the interface at a time; return 0, 1 (a message) or 2 (an error)."""
+        """Call a function of the interface at a time, if it is there; return 0, 1 (message) or 2 (error)."""
         if time_s is not None:
             self.raw.time = time_s
-        return self.library.call(name, self.raw)
+        function = getattr(self.library.c, name, None)
+        return OK if function is None else int(function(ctypes.byref(self.raw)))
 
     def text(self) -> str:
         """Return what the last call has said."""

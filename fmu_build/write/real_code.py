@@ -33,8 +33,6 @@ MOST_MEMBERS = 24  #: c/dll/real_code.c
 UNBOUNDED = 1e30  #: range of a parameter that has none: tools want a number
 _ROLES = ("input", "output", "parameter")
 _SAMPLED = ("channel", "pmu")  #: kinds of blocks that step themselves
-_Row = tuple[int, int, int, int]
-_Feed = tuple[_Row, _Row]  #: from, to
 _ENTRY = re.compile(r"[A-Za-z_]\w*\[\d+,\d+\]")  #: of a matrix
 
 #: Where such a library runs, by name; tools with 32 bits (ATP) take win32.
@@ -174,8 +172,8 @@ def _ports(chain: Chain, alone: bool) -> dict[str, _Port]:
     return ports
 
 
-def _wires(chain: Chain, ports: Mapping[str, _Port]) -> Iterator[_Feed]:
-    """Give what each connection feeds.
+def _wires(chain: Chain, ports: Mapping[str, _Port]) -> Iterator[tuple[tuple[int, ...], ...]]:
+    """Give the ports, from and to, of each connection.
 
     Raises
     ------
@@ -220,7 +218,7 @@ def entries_of(block: Block | Chain, sample_time_s: float) -> dict[str, npt.Arra
     groups = [[p for p in shown if p.variable.role == role] for role in _ROLES]
     _check(block, chain, groups)
     inputs, outputs, parameters = groups
-    of_tool: list[_Feed] = [((0, k, 0, -1), p[2:]) for k, p in enumerate(inputs)]  # member -1: the tool
+    of_tool = (((0, k, 0, -1), p[2:]) for k, p in enumerate(inputs))  # member -1: the tool
     entries: dict[str, npt.ArrayLike | bytes] = {
         "dll.counts": [*map(len, groups), len(chain.members)],
         "dll.ports": [p[2:] for p in (*outputs, *parameters)],

@@ -106,7 +106,7 @@ def test_a_library_for_another_machine_is_read_by_its_header(tmp_path: Path) -> 
     assert finding.rule == "DLL bits" and "has 32 bits; its name or folder says 64" in finding.message
     file = tmp_path / "lag.dll"
     file.write_bytes(windows_dll(REQUIRED))
-    words = "not run (a 32-bit library for Windows (x86) cannot be loaded here)"
+    words = "not run (a library for win32 cannot be loaded here)"
     assert check_file(file).verdict.startswith(words)
     file.write_bytes(windows_dll(REQUIRED[:-1]))
     (finding,) = check_file(file).findings

@@ -16,7 +16,16 @@ from fmu_runner import Runner, decay_block
 
 from interarea.cosim.run.controllers import controller_of
 from interarea.fmu_build.errors import BuildError
-from interarea.fmu_build.open.real_code import ERROR, MESSAGE, OK, RealCode, RealCodeLibrary
+from interarea.fmu_build.open.real_code import (
+    ERROR,
+    MESSAGE,
+    OK,
+    TEXT,
+    Port,
+    RealCode,
+    RealCodeLibrary,
+    Values,
+)
 from interarea.fmu_build.write.package import build_fmu
 from interarea.fmu_build.write.real_code import Chain, build_dll, port_name
 from interarea.models.blocks.channel import channel_block
@@ -298,6 +307,16 @@ def test_what_a_tool_does_wrong_is_refused_in_words(library) -> None:  # type: i
     model = start(RealCode(library("channel")))
     model.parameters["jitter"] = 0.1
     assert model.call("Model_Outputs", STEP) == MESSAGE and "counts at the start only" in model.text()
+
+
+def test_a_number_is_no_text() -> None:
+    """A parameter may be a text of the interface: a number would be its address."""
+    values = Values((Port("file", "", "", TEXT), Port("rate", "", "", 9)))
+    values["file"] = "curve.csv"
+    with pytest.raises(TypeError):
+        values["file"] = 3
+    with pytest.raises(TypeError):
+        values["rate"] = "3"
 
 
 def test_a_parameter_that_may_change_counts_from_then_on(library) -> None:  # type: ignore[no-untyped-def]
