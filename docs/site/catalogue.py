@@ -45,7 +45,7 @@ def python_page() -> Iterator[str]:
     yield ""
     yield (
         "For those who write scripts. After this page you know every public name of "
-        "`import interarea as ia`, with shapes, units, errors and an example. What is not here may "
+        "`import interarea as ia`, with shapes, units, errors and an example. Other names may "
         "change without notice."
     )
     places = ia._PLACE  # module of each public name
@@ -64,10 +64,9 @@ def commands_page() -> Iterator[str]:
     yield "# Commands"
     yield ""
     yield (
-        "For those who type. After this page you know every command of `interarea` with its "
-        "options. Exit code 0: done; 1: what was asked is not reached (a certificate, a check, not a "
-        "single good run of a sweep); 2: "
-        "a mistake, reported in one line."
+        "For those who work in a terminal. After this page you know every command of `interarea` with its "
+        "options. Exit code 0: success; 1: a requirement is not met (a certificate, a check, a single "
+        "successful run of a sweep); 2: a user error, reported in one line."
     )
     for name, (_, line) in COMMANDS.items():
         command = load(name)
@@ -80,7 +79,7 @@ def commands_page() -> Iterator[str]:
             f"# {EXAMPLES[name]}",
             "```",
             "",
-            "| argument | what it is |",
+            "| argument | meaning |",
             "|---|---|",
         )
         for p in command.params:
@@ -94,30 +93,30 @@ def commands_page() -> Iterator[str]:
                     else f" (default: {p.default})"
                 )
                 yield f"| `{shown}` | {words}{default} |".replace("\n", " ")
-    yield from ("", "## Environment", "", "| variable | what it does |", "|---|---|")
+    yield from ("", "## Environment", "", "| variable | meaning |", "|---|---|")
     yield from (f"| `{name}` | {words} |" for name, words in ENVIRONMENT.items())
-    yield from ("", "Next: [a scenario's keys](../formats/scenario.md), or [what is written](written.md).")
+    yield from ("", "Next: [a scenario's keys](../formats/scenario.md), or [the written files](written.md).")
 
 
-#: variables of the environment that the package looks at
+#: variables of the environment that the package reads
 ENVIRONMENT = {
-    "INTERAREA_CACHE": "folder of what is made once (FMUs, binaries, designs); else the user's cache folder",
-    "INTERAREA_DEBUG": "1: a mistake shows where in the code it was found, not one line",
-    "CC": "C compiler to use in place of zig",
-    "XDG_CACHE_HOME": "where the user's cache folder lies (Linux, macOS); else ~/.cache",
+    "INTERAREA_CACHE": "cache folder (FMUs, binaries, designs); default: the user's cache folder",
+    "INTERAREA_DEBUG": "1: an error shows its place in the code instead of one line",
+    "CC": "C compiler to use instead of zig",
+    "XDG_CACHE_HOME": "parent of the user's cache folder (Linux, macOS); default: ~/.cache",
     "LOCALAPPDATA": "likewise (Windows)",
 }
 
 
 def devices_page() -> Iterator[str]:
-    """Every device: diagram, parameters, records, what it was held against."""
+    """Every device: diagram, parameters, records, validation."""
     yield "# Devices"
     yield ""
     yield (
         "For those who import or write a case: exciters, governors, stabilizers, limiters and compensators "
         "that a machine can have. After this page you know the key of each, its parameters and its "
-        "signal flow. Each is one TOML file in `models/devices`; the C, the import of PSS/E records "
-        "and this page are made from it."
+        "signal flow. Each is one TOML file in `models/devices`; the C code, the import of PSS/E records "
+        "and this page are generated from it."
     )
     for key, model in library().items():
         device = model.device
@@ -129,11 +128,11 @@ def devices_page() -> Iterator[str]:
             "",
         )
         yield from ("```", diagram_text(device).strip("\n"), "```", "")
-        yield from ("| parameter | unit | allowed | what it is |", "|---|---|---|---|")
+        yield from ("| parameter | unit | allowed | meaning |", "|---|---|---|---|")
         for p in device.parameters:
             cells = (f"`{p.name}`", p.unit, range_text(p), p.text)
             yield "| " + " | ".join(str(cell).replace("|", "\\|") for cell in cells) + " |"
-        yield from ("", f"Source: {'; '.join(device.sources)}. Held against: {device.oracle or 'nothing'}.")
+        yield from ("", f"Source: {'; '.join(device.sources)}. Compared with: {device.oracle or 'nothing'}.")
     yield from ("", "Next: [a device of your own](../own_device.md).")
 
 
@@ -150,7 +149,7 @@ def blocks() -> Iterator[tuple[str, Block]]:
     yield "Controller", controller_block("controller", *one, signals, actuators, guard=guard)
     bank = {"both": one, "off": one}
     choice = ["off", "off", "off", "both"]
-    yield "Controllers of which one acts", supervisor_block("bank", bank, choice, signals, actuators)
+    yield "Supervisor of a bank of controllers", supervisor_block("bank", bank, choice, signals, actuators)
 
 
 def variables_page() -> Iterator[str]:
@@ -159,13 +158,13 @@ def variables_page() -> Iterator[str]:
     yield ""
     yield (
         "For those who load an FMU in another tool. After this page you know name, role and unit of "
-        "every variable. The plant's names carry the ids of the case; here those of `two-area-thesis`, "
-        "where `G1` stands "
-        "for any machine. A controller's FMU has its signals as inputs and its actuators as outputs; here "
+        "every variable. The plant's names contain the ids of the case; here those of `two-area-thesis`, "
+        "where `G1` represents "
+        "any machine. A controller's FMU has its signals as inputs and its actuators as outputs; here "
         "`G2_dw`, `G4_dw` and `G4_vs`. A closed loop in one FMU has the parameters of all as `MEMBER.NAME`."
     )
     for title, block in blocks():
-        yield from ("", f"## {title}", "", "| variable | role | unit | what it is |", "|---|---|---|---|")
+        yield from ("", f"## {title}", "", "| variable | role | unit | meaning |", "|---|---|---|---|")
         yield from _rows(block)
     yield from ("", "Next: [the loop in another tool](../other_tools.md).")
 

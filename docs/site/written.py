@@ -102,12 +102,12 @@ def written_page() -> Iterator[str]:
 
     ``$INTERAREA_DOCS_SAMPLES`` names a folder in which `write_samples` has run before.
     """
-    yield "# What is written"
+    yield "# Written files"
     yield ""
     yield (
         "For those who read results by a program. After this page you know every file that a command "
-        "writes, with every key and column. A file is whole or not there; numbers have all their digits. "
-        "The examples are those of a run of each command, made with this page; in names `*` stands for any."
+        "writes, with every key and column. A file is complete or absent; numbers have all their digits. "
+        "The examples are from a run of each command when this page was built; in names `*` matches any text."
     )
     before = os.environ.get("INTERAREA_DOCS_SAMPLES")
     with TemporaryDirectory() as place:
@@ -115,21 +115,20 @@ def written_page() -> Iterator[str]:
         for command in WRITTEN["command"]:
             folder = samples.get(command["name"])
             yield from ("", f"## interarea {command['name']}", "")
-            yield from ("| file | what it holds |", "|---|---|")
+            yield from ("| file | content |", "|---|---|")
             yield from (f"| `{file['path']}` | {file['what']} |" for file in command["file"])
             for file in command["file"]:
                 if "keys" in file:
                     yield from _key_table(file, folder)
     yield from ("", "## The cache", "")
     yield (
-        "What is made once lies in the user's cache folder (`INTERAREA_CACHE` names another), each file "
-        "named by a hash of what it is made from, its SHA-256 beside it. Anything may be deleted at any "
-        "time; "
+        "Reusable results are in the user's cache folder (`INTERAREA_CACHE` names another). The name of each "
+        "file is a hash of its inputs; its SHA-256 is stored with it. Anything may be deleted at any time; "
         "`interarea cache` shows and trims it."
     )
-    yield from ("", "| folder | what it holds |", "|---|---|")
+    yield from ("", "| folder | content |", "|---|---|")
     yield from (f"| `{name}` | {words} |" for name, words in WRITTEN["cache"].items())
-    yield from ("", "Next: [what holds when a disk is full or a process dies](../promises.md).")
+    yield from ("", "Next: [guarantees for a full disk or a dead process](../promises.md).")
 
 
 def _key_table(file: Mapping[str, Any], folder: Path | None) -> Iterator[str]:
@@ -140,5 +139,5 @@ def _key_table(file: Mapping[str, Any], folder: Path | None) -> Iterator[str]:
         text = value if isinstance(value, str) else json.dumps(value, default=str)
         if name is not None and text and len(text) <= SHORT:
             examples.setdefault(name, f"`{text}`".replace("|", "\\|"))
-    yield from ("", f"### {file['path']}", "", "| key | example | what it is |", "|---|---|---|")
+    yield from ("", f"### {file['path']}", "", "| key | example | meaning |", "|---|---|---|")
     yield from (f"| `{name}` | {examples.get(name, '')} | {words} |" for name, words in file["keys"].items())
