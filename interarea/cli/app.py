@@ -27,7 +27,7 @@ INTERRUPTED = 130  #: exit code after Ctrl-C, as shells have it; of another sign
 COMMANDS = {
     "list": (
         "listing:list_bundled",
-        "List what is bundled: cases, scenarios, controllers, designs, studies, and what takes them.",
+        "List everything bundled: cases, scenarios, controllers, designs, studies, and their commands.",
     ),
     "cases": (
         "listing:cases",
@@ -35,15 +35,15 @@ COMMANDS = {
     ),
     "show": (
         "new:show",
-        "Print a bundled case, scenario, controller, design or study as its file has it, with its source.",
+        "Print the file of a bundled case, scenario, controller, design or study, with its source.",
     ),
     "new": (
         "new:new",
-        "Write a commented file to start from: scenario, case, device, controller, design, sweep, study, ...",
+        "Write a commented template: scenario, case, device, controller, design, sweep, study, ...",
     ),
     "device": (
         "new:device",
-        "Look at a device by itself: diagram, rest at an operating point, poles, step response.",
+        "Show one device: diagram, equilibrium at an operating point, poles, step response.",
     ),
     "modes": (
         "modes:modes",
@@ -63,23 +63,23 @@ COMMANDS = {
     ),
     "sweep": (
         "sweep:sweep",
-        "Run a scenario over many parameters; a sweep that was stopped goes on where it was.",
+        "Run a scenario over many parameters; an interrupted sweep resumes.",
     ),
     "maps": (
         "sweep:maps",
-        "Draw the maps of a sweep: stability, margins certified and simulated, worst runs; one page.",
+        "Draw the maps of a sweep on one page: stability, certified and simulated margins, worst runs.",
     ),
     "screen": (
         "sweep:screen",
-        "Fault every bus of a grid, or trip every branch; one page, worst first, with clearing times.",
+        "Fault every bus of a grid, or trip every branch; write one page, worst first, with clearing times.",
     ),
     "explore": (
         "export:explore",
-        "Write one HTML file in which the loop runs: drag delay, loss, controller or fault, and see.",
+        "Write one HTML file that simulates the loop, with adjustable delay, loss, controller and fault.",
     ),
     "design": (
         "design:design",
-        "Design a controller, from a design file or a grid alone; exit code 1 if it misses what was asked.",
+        "Design a controller from a design file or a grid; exit code 1 if it misses a requirement.",
     ),
     "certify": (
         "design:certify",
@@ -91,11 +91,11 @@ COMMANDS = {
     ),
     "ssp": (
         "export:ssp",
-        "Write plant, channels and controller of a scenario, wired and parametrised, as one SSP 1.0 archive.",
+        "Write plant, channels, controller, connections and parameters of a scenario as an SSP 1.0 archive.",
     ),
     "container": (
         "export:container",
-        "Write plant, channels and controller of a scenario as one FMU that simulates by itself.",
+        "Write plant, channels and controller of a scenario as one FMU without inputs.",
     ),
     "check": (
         "export:check",
@@ -103,31 +103,31 @@ COMMANDS = {
     ),
     "import": (
         "grids:import_grid",
-        "Read a grid, solve its power flow, write it as a case file; say what was read, assumed and dropped.",
+        "Read a grid, solve its power flow, write a case file; print what was read, assumed and dropped.",
     ),
     "export": (
         "grids:export",
-        "Write a case, or it at another operating point, as one file; what its format cannot hold is named.",
+        "Write a case, at any operating point, as one file; name the content that its format cannot hold.",
     ),
     "meter": (
         "records.meter:meter",
-        "Meter a record: what swings, how damped by two methods, forced or modal, which mode of a case.",
+        "Analyse a record: oscillations, damping by two methods, forced or modal, matching mode of a case.",
     ),
     "locate": (
         "records.locate:locate",
-        "Locate an oscillation: by the energy flow at each terminal and, with --case, by the grid's model.",
+        "Locate an oscillation by the energy flow at each terminal and, with --case, by the grid's model.",
     ),
     "fit": (
         "records.fit:fit",
-        "Play a record into a machine alone with its controls; fit parameters; say what it does not show.",
+        "Apply a record to a single machine with its controls; fit its parameters; name undetermined ones.",
     ),
     "cache": (
         "cache:cache",
-        "Show what the cache of FMUs and designs holds; check it, trim it.",
+        "Show, check or trim the cache of FMUs and designs.",
     ),
     "study": (
         "study:study",
-        "Run a whole study, or study a grid: modes, a design made for it, faults, report.html, study.json.",
+        "Run a whole study, or study a grid: modes, a design for it, faults, report.html, study.json.",
     ),
 }
 _SETTINGS: dict[str, Any] = {
@@ -198,7 +198,7 @@ def _shared_options(
             "--verbose",
             callback=set_level("verbose"),
             expose_value=False,
-            help="how long each step took, what the cache had, tracebacks",
+            help="time of each step, use of the cache, tracebacks",
         ),
     ] = False,
 ) -> None:

@@ -21,15 +21,13 @@ _MB, _DAY_S = 1e6, 86400.0
 
 
 def cache(
-    check: Annotated[
-        bool, typer.Option("--check", help="remove what is not what was written (SHA-256)")
-    ] = False,
+    check: Annotated[bool, typer.Option("--check", help="remove damaged files (SHA-256)")] = False,
     keep_mb: Annotated[
         float | None,
         typer.Option(
             "--keep-mb",
             metavar="MB",
-            help="remove the longest unused until this much is left",
+            help="remove the longest unused files down to this size",
             callback=within(least=0.0, unit="MB"),
         ),
     ] = None,
@@ -38,15 +36,15 @@ def cache(
         typer.Option(
             "--unused-days",
             metavar="DAYS",
-            help="remove what was not used for so long",
+            help="remove files unused for longer",
             callback=within(least=0.0, unit="days"),
         ),
     ] = None,
     json_: Annotated[bool, typer.Option("--json", help="print JSON instead of a table")] = False,
 ) -> None:
-    """Show what the cache of FMUs and designs holds; check it, trim it.
+    """Show, check or trim the cache of FMUs and designs.
 
-    The folder is $INTERAREA_CACHE, else `interarea` in the user's cache folder. What is removed is made again
+    The folder is $INTERAREA_CACHE, else `interarea` in the user's cache folder. A removed file is built again
     when it is needed.
     """
     from interarea.fmu_build.write.cache import artefacts_in, damaged, default_cache, remove

@@ -33,7 +33,7 @@ DesignFile = Annotated[
     typer.Option(
         "--spec",
         metavar="SPEC.toml",
-        help="design (file or bundled name) whose family judges; default: the controller's own",
+        help="design (file or bundled name) with the conditions; default: the controller's own",
         show_default=False,
         callback=naming("design"),
     ),
@@ -45,7 +45,7 @@ def design(
         str,
         typer.Argument(
             metavar="SPEC.toml|GRID",
-            help="design file or a bundled name; or a grid (case, .raw, .m): the design is made for it",
+            help="design file or a bundled name; or a grid (case, .raw, .m) to design for",
             show_default=False,
         ),
     ],
@@ -58,27 +58,27 @@ def design(
         typer.Option(
             "--against",
             metavar="CONTROLLER",
-            help="compare with this one too (may be repeated)",
+            help="also compare with this one (repeatable)",
             callback=naming("controller"),
         ),
     ] = None,
     plots: Annotated[
-        Path | None, typer.Option("--plots", metavar="DIR", help="draw the alternatives into it")
+        Path | None, typer.Option("--plots", metavar="DIR", help="draw the alternatives into DIR")
     ] = None,
     worth: Annotated[
         bool,
-        typer.Option(help="design the best controller without the signals from afar too, and compare"),
+        typer.Option(help="also design the best controller without remote signals, and compare"),
     ] = True,
     dyr: Dyr = None,
     minutes: Minutes = None,
     json_: Annotated[bool, typer.Option("--json", help="print JSON instead of tables")] = False,
 ) -> None:
-    """Design a controller, from a design file or a grid alone; exit code 1 if it misses what was asked.
+    """Design a controller from a design file or a grid; exit code 1 if it misses a requirement.
 
-    The starts that were tried are shown beside the result, and so are controllers given by `--against`. For
-    a grid, loops, operating points and what is asked follow from it by rules: local stabilizers first, then a
-    wide-area loop for what they leave. The design file is written beside the controller, each choice with its
-    reason, to go on from; the local stabilizers beside both.
+    The result is compared with the other starts of the search and with the controllers of `--against`. For
+    a grid, rules determine loops, operating points and requirements: local stabilizers first, then a
+    wide-area loop for the remaining weak modes. The design file, with the reason of each choice, and the
+    local stabilizers are written to the folder of the controller.
     """
     from interarea.cosim.scenario.named import design_file
     from interarea.models.case.document import case_names
@@ -225,29 +225,29 @@ def certify(
         typer.Option(
             "--conditions",
             metavar="CODE,...",
-            help="ask for a stable loop under these on the case as it is, such as N,s100,L:G2_dw; default "
-            "of a controller without a design: 0 to 200 ms late, each signal lost",
+            help="require a stable loop under these on the case as it is, such as N,s100,L:G2_dw; default "
+            "for a controller without a design: 0 to 200 ms late, each signal lost",
         ),
     ] = None,
     acceptance: Annotated[
         bool,
         typer.Option(
-            "--acceptance", help="every fault of the design's acceptance and its clearing times too"
+            "--acceptance", help="also run every fault of the design's acceptance and its clearing times"
         ),
     ] = False,
     worth: Annotated[
         bool,
         typer.Option(
             "--worth",
-            help="design the best controller without the signals from afar anew (as long as a design), and "
-            "compare; default: the one on record",
+            help="design the best controller without remote signals again (as long as a design), and "
+            "compare; default: the recorded one",
         ),
     ] = False,
     wrong_signals: Annotated[
         bool,
         typer.Option(
             "--wrong-signals",
-            help="instead: twelve kinds of wrong signals, flag up, with and without a detector, non-linear",
+            help="instead: non-linear runs of twelve kinds of wrong signals, with and without a detector",
         ),
     ] = False,
     detector: Annotated[
@@ -255,7 +255,7 @@ def certify(
         typer.Option(
             "--detector",
             metavar="FILE.json",
-            help="with --wrong-signals: a designed detector; default: its tests that need no design",
+            help="with --wrong-signals: a designed detector; default: the tests that need no design",
             show_default=False,
             callback=naming("detector"),
         ),
@@ -265,7 +265,7 @@ def certify(
         typer.Option(
             "--out",
             metavar="FILE.json",
-            help="file for the controller with what it was judged by, and the result, in its record",
+            help="file for the controller with conditions and result in its record",
             show_default=False,
         ),
     ] = None,
@@ -274,7 +274,7 @@ def certify(
         typer.Option(
             "--page",
             metavar="FILE.html",
-            help="page with curves of damping over latency and scale, which --json then has too",
+            help="page with curves of damping over latency and scale; --json then has them too",
             show_default=False,
         ),
     ] = None,
@@ -282,8 +282,8 @@ def certify(
 ) -> None:
     """Recompute a controller's certificate on full linear plants, exact latency; exit code 1 if it fails.
 
-    What is judged (operating points, losses, latencies, the fault, what is asked) is in the controller's own
-    record: the FMU alone is enough. One without such a record is judged under plain conditions.
+    The conditions (operating points, losses, latencies, the fault, requirements) are in the controller's own
+    record, so the FMU alone is sufficient. A controller without such a record gets default conditions.
     """
     from interarea.cosim.errors import ScenarioError
     from interarea.design.controllers.bank import ControllerBank

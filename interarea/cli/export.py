@@ -55,14 +55,14 @@ def build(
         typer.Option(
             "--controller",
             metavar="CONTROLLER",
-            help="the FMU of this controller too, and that of a channel",
+            help="also build the FMUs of this controller and of a channel",
             callback=naming("controller"),
         ),
     ] = None,
     show: Annotated[
         list[str] | None,
         typer.Option(
-            "--show", metavar="PATTERN", help="outputs wanted, such as 'G1_*', 'bus7.v', 'branch[7-8].p'"
+            "--show", metavar="PATTERN", help="additional outputs, such as 'G1_*', 'bus7.v', 'branch[7-8].p'"
         ),
     ] = None,
     platforms: Platforms = None,
@@ -71,7 +71,7 @@ def build(
         typer.Option(
             "--dll",
             metavar="LIST",
-            help="controller, channel and PMU as IEEE/CIGRE DLLs too, for win64,win32,linux64",
+            help="also controller, channel and PMU as IEEE/CIGRE DLLs, for win64,win32,linux64",
         ),
     ] = None,
     sample_time: SampleTime = None,
@@ -164,7 +164,7 @@ def ssp(
     platforms: Platforms = None,
     json_: FileAsJson = False,
 ) -> None:
-    """Write plant, channels and controller of a scenario, wired and parametrised, as one SSP 1.0 archive."""
+    """Write plant, channels, controller, connections and parameters of a scenario as an SSP 1.0 archive."""
     from interarea.cosim.export.ssp import write_ssp
 
     tell_file(_written(write_ssp, ".ssp", scenario, out, platforms), json_)
@@ -190,13 +190,13 @@ def container(
         typer.Option(
             "--dll",
             metavar="PLATFORM",
-            help="what lies between plant and its inputs as one IEEE/CIGRE DLL: win64, win32, linux64",
+            help="all from plant outputs to inputs as one IEEE/CIGRE DLL: win64, win32, linux64",
         ),
     ] = None,
     sample_time: SampleTime = None,
     json_: FileAsJson = False,
 ) -> None:
-    """Write plant, channels and controller of a scenario as one FMU that simulates by itself."""
+    """Write plant, channels and controller of a scenario as one FMU without inputs."""
     from interarea.cosim.export.container import chain_of, write_container
     from interarea.fmu_build.write.real_code import build_dll, suffix_of
 
@@ -235,7 +235,7 @@ def check(
     ],
     json_: Annotated[bool, typer.Option("--json", help="print JSON instead of lines")] = False,
     run: Annotated[
-        bool, typer.Option("--run/--no-run", help="load the FMU's binary and see how it behaves")
+        bool, typer.Option("--run/--no-run", help="load the FMU's binary and test its behaviour")
     ] = True,
 ) -> None:
     """Check an FMU, SSP or DLL; one line per finding with its rule and fix; exit code 1 if there are any."""
@@ -267,7 +267,7 @@ def explore(
     ] = "two-area-thesis",
     json_: FileAsJson = False,
 ) -> None:
-    """Write one HTML file in which the loop runs: drag delay, loss, controller or fault, and see.
+    """Write one HTML file that simulates the loop, with adjustable delay, loss, controller and fault.
 
     It needs no server and no network: the simulation is the container's C as WebAssembly.
     """

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 _GRIDS = (
     ".raw (PSS/E version 23 to 36), .rawx or .m (MATPOWER), plain, .gz, .xz or .bz2; or wecc-179, npcc, "
-    "nordic-44: downloaded from the wheel of andes, whose licence (GPL) does not let them be shipped"
+    "nordic-44: downloaded from the wheel of andes, whose licence (GPL) does not allow bundling"
 )
 
 
@@ -26,17 +26,15 @@ def import_grid(
     dyr: Dyr = None,
     P_exponent: Annotated[
         float | None,
-        typer.Option("--p-exponent", help="loads: P against voltage (else 2)", show_default=False),
+        typer.Option("--p-exponent", help="voltage exponent of P of loads (else 2)", show_default=False),
     ] = None,
     Q_exponent: Annotated[
         float | None,
-        typer.Option("--q-exponent", help="loads: Q against voltage (else 2)", show_default=False),
+        typer.Option("--q-exponent", help="voltage exponent of Q of loads (else 2)", show_default=False),
     ] = None,
     frequency: Annotated[
         float | None,
-        typer.Option(
-            "--frequency", metavar="HZ", help="where the file has none (else 60)", show_default=False
-        ),
+        typer.Option("--frequency", metavar="HZ", help="if the file has none (else 60)", show_default=False),
     ] = None,
     strict: Annotated[bool, typer.Option("--strict", help="an assumption is an error")] = False,
     island: Annotated[
@@ -45,11 +43,13 @@ def import_grid(
     converters: Annotated[
         str,
         typer.Option(
-            "--converters", metavar="model|current", help="or converters, units without data as currents"
+            "--converters",
+            metavar="model|current",
+            help="model converters, or use currents for them and units without data",
         ),
     ] = "model",
     dc_lines: Annotated[
-        str, typer.Option("--dc-lines", metavar="model|power", help="or dc lines as constant powers")
+        str, typer.Option("--dc-lines", metavar="model|power", help="model dc lines, or use constant powers")
     ] = "model",
     coordinates: Annotated[
         Path | None,
@@ -62,10 +62,10 @@ def import_grid(
     ] = False,
     device: Annotated[
         list[str] | None,
-        typer.Option("--device", metavar="FILE.toml", help="a device of your own, for records of its name"),
+        typer.Option("--device", metavar="FILE.toml", help="user-defined device, for records of its name"),
     ] = None,
     leave_out: Annotated[
-        str, typer.Option("--leave-out", metavar="MODEL,...", help="models of the DYR to go on without")
+        str, typer.Option("--leave-out", metavar="MODEL,...", help="models of the DYR to ignore")
     ] = "",
     replace: Annotated[
         list[str] | None,
@@ -75,7 +75,7 @@ def import_grid(
         bool, typer.Option("--json", help="print what was read, assumed and dropped as JSON")
     ] = False,
 ) -> None:
-    """Read a grid, solve its power flow, write it as a case file; say what was read, assumed and dropped."""
+    """Read a grid, solve its power flow, write a case file; print what was read, assumed and dropped."""
     from interarea.models.importers.published import require_grid
 
     from .destination import file_for
@@ -145,10 +145,10 @@ def export(
     ] = None,
     load_scale: Annotated[float, typer.Option("--load-scale", metavar="FACTOR", help="on every load")] = 1.0,
     json_: Annotated[
-        bool, typer.Option("--json", help="print the files and what they cannot hold as JSON")
+        bool, typer.Option("--json", help="print the files and the omitted content as JSON")
     ] = False,
 ) -> None:
-    """Write a case, or it at another operating point, as one file; what its format cannot hold is named."""
+    """Write a case, at any operating point, as one file; name the content that its format cannot hold."""
     from interarea.models.case.case import load_case
     from interarea.models.case.variants import operating_variant
     from interarea.models.case.write_toml import export_toml

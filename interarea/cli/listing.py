@@ -21,7 +21,7 @@ AsJson = Annotated[bool, typer.Option("--json", help="print JSON instead of a ta
 def list_bundled(
     json_: Annotated[bool, typer.Option("--json", help="print JSON instead of a table")] = False,
 ) -> None:
-    """List what is bundled: cases, scenarios, controllers, designs, studies, and what takes them."""
+    """List everything bundled: cases, scenarios, controllers, designs, studies, and their commands."""
     result = titles()
     if json_:
         typer.echo(json.dumps(result, indent=2))

@@ -32,7 +32,7 @@ def loops(
     mode: Annotated[
         list[str] | None,
         typer.Option(
-            "--mode", metavar="NAME", help="target, as `modes --band` names it; default: inter-area ones"
+            "--mode", metavar="NAME", help="target, as named by `modes --band`; default: inter-area modes"
         ),
     ] = None,
     latency: Annotated[
@@ -40,7 +40,7 @@ def loops(
         typer.Option(
             "--latency",
             metavar="S",
-            help="of every signal; turns the phase to make up",
+            help="of every signal; changes the phase to compensate",
             callback=LATENCY_S,
         ),
     ] = 0.0,
@@ -51,22 +51,25 @@ def loops(
         ),
     ] = None,
     actuator: Annotated[
-        list[str] | None, typer.Option("--actuator", metavar="INPUT", help="allowed, as G1_vs; default all")
+        list[str] | None,
+        typer.Option("--actuator", metavar="INPUT", help="allowed actuator, as G1_vs; default all"),
     ] = None,
     together: Annotated[
         int | None,
-        typer.Option("--together", metavar="N", min=1, help="actuators in a set; 2, or all that are allowed"),
+        typer.Option("--together", metavar="N", min=1, help="actuators in a set; default 2, or all allowed"),
     ] = None,
     most: Annotated[int, typer.Option("--most", metavar="N", min=1, help="rows to show")] = 10,
     circuit_out: CircuitsOut = None,
     tried: Annotated[
         int,
-        typer.Option("--try", metavar="N", min=0, help="design the best N sets shortly, rank by damping"),
+        typer.Option("--try", metavar="N", min=0, help="short design of the best N sets, ranked by damping"),
     ] = 0,
     point: Annotated[
         list[str] | None,
         typer.Option(
-            "--point", metavar="KEY=VALUE", help="where sets hold too: out=BRANCH, tie=MW or load=FACTOR"
+            "--point",
+            metavar="KEY=VALUE",
+            help="additional operating point: out=BRANCH, tie=MW or load=FACTOR",
         ),
     ] = None,
 ) -> None:

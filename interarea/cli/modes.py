@@ -52,24 +52,24 @@ def modes(
     circuit_out: CircuitsOut = None,
     load_scale: Annotated[float, typer.Option("--load-scale", metavar="FACTOR", help="on every load")] = 1.0,
     margins: Annotated[
-        bool, typer.Option("--margins", help="how far the controls start from their limits")
+        bool, typer.Option("--margins", help="distance of the controls from their limits")
     ] = False,
     plot: Annotated[
-        Path | None, typer.Option("--plot", metavar="DIR", help="draw the shapes into it, on a map if it can")
+        Path | None, typer.Option("--plot", metavar="DIR", help="draw the shapes, on a map if it can")
     ] = None,
     band: Annotated[
         str | None,
         typer.Option(
             "--band",
             metavar="LOW:HIGH",
-            help="all modes between so many Hz, of any grid, counted independently",
+            help="all modes between these frequencies, Hz, of any grid, counted independently",
         ),
     ] = None,
     below: Below = None,
     controller: Annotated[
         str | None,
         typer.Option(
-            "--controller", metavar="NAME", help="with it: name, file or FMU", callback=naming("controller")
+            "--controller", metavar="NAME", help="add it: name, file or FMU", callback=naming("controller")
         ),
     ] = None,
     latency: Annotated[
@@ -81,7 +81,7 @@ def modes(
         typer.Option(
             "--along",
             metavar="KEY=FROM:TO[:POINTS]",
-            help="modes over a number of case or controller",
+            help="modes over a parameter of case or controller",
         ),
     ] = None,
     save: Annotated[

@@ -36,14 +36,14 @@ def new(
     ],
     out: Annotated[Path, typer.Option("--out", metavar="FILE", help="file to write", show_default=False)],
     grid: Annotated[
-        str, typer.Argument(metavar="GRID", help="of a study: the grid that it is of", show_default=False)
+        str, typer.Argument(metavar="GRID", help="of a study: its grid", show_default=False)
     ] = "",
     dyr: Dyr = None,
     json_: FileAsJson = False,
 ) -> None:
-    """Write a commented file to start from: scenario, case, device, controller, design, sweep, study, ...
+    """Write a commented template: scenario, case, device, controller, design, sweep, study, ...
 
-    Of the study of a grid: with every choice that there is, and what was found in the grid beside it.
+    The template for the study of a grid has every choice, with the defaults determined from the grid.
     """
     there = {file.name.partition(".")[0]: file for file in TEMPLATES.iterdir()}
     if kind not in there:
@@ -97,7 +97,7 @@ def show(
     name: Annotated[str, typer.Argument(metavar="NAME", help="a name that `interarea list` shows")],
     json_: Annotated[bool, typer.Option("--json", help="print kind, file and text as JSON")] = False,
 ) -> None:
-    """Print a bundled case, scenario, controller, design or study as its file has it, with its source."""
+    """Print the file of a bundled case, scenario, controller, design or study, with its source."""
     kind, _, short = name.rpartition("/")
     files = bundled_files()
     result = [(k, rows[short]) for k, rows in files.items() if short in rows and kind in ("", k)]
@@ -119,12 +119,12 @@ def show(
 
 
 def device(
-    file: Annotated[str, typer.Argument(metavar="DEVICE", help="device file, or a device of the package")],
+    file: Annotated[str, typer.Argument(metavar="DEVICE", help="device file, or a bundled device")],
     given: Annotated[
         list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="a parameter of the device")
     ] = None,
     at: Annotated[
-        list[str] | None, typer.Option("--at", metavar="SIGNAL=VALUE", help="what it sees, as vt=1.02")
+        list[str] | None, typer.Option("--at", metavar="SIGNAL=VALUE", help="its input, as vt=1.02")
     ] = None,
     base_mva: Annotated[float, typer.Option("--base", metavar="MVA", help="base of its machine")] = 100.0,
     stop_s: Annotated[float, typer.Option("--stop", metavar="S", help="length of the step response")] = 10.0,
@@ -133,7 +133,7 @@ def device(
     ] = None,
     json_: Annotated[bool, typer.Option("--json", help="print JSON instead of text")] = False,
 ) -> None:
-    """Look at a device by itself: diagram, rest at an operating point, poles, step response."""
+    """Show one device: diagram, equilibrium at an operating point, poles, step response."""
     if draw is not None and (file_for(draw, "--draw").suffix != ".svg"):
         raise UserError(f"--draw {draw}: the diagram is SVG, allowed: a name that ends in .svg")
     model = _model(file)

@@ -44,7 +44,7 @@ def run(
         bool, typer.Option("--explain", help="print step, stepping order, delay and packet ledgers")
     ] = False,
     explore: Annotated[
-        bool, typer.Option("--explore", help="write explorer.html too: the run as a page to drag")
+        bool, typer.Option("--explore", help="also write explorer.html: the run as an interactive page")
     ] = False,
     json_: Annotated[bool, typer.Option("--json", help="print the metrics as JSON, files on stderr")] = False,
     self_test: Annotated[
@@ -55,24 +55,22 @@ def run(
     ] = False,
     record: Annotated[
         list[str] | None,
-        typer.Option(
-            "--record", metavar="NAME", help="signal or pattern to write, several times; default: all"
-        ),
+        typer.Option("--record", metavar="NAME", help="signal or pattern to write; repeatable; default: all"),
     ] = None,
     every: Annotated[
         int | None, typer.Option("--every", min=1, metavar="N", help="write every N-th point, and the last")
     ] = None,
     strict: Annotated[
         bool | None,
-        typer.Option("--strict", help="refuse FMUs that break the standard even where it does no harm"),
+        typer.Option("--strict", help="reject FMUs that violate the standard even without consequences"),
     ] = None,
 ) -> None:
     """Co-simulate one scenario; writes trajectory, ledgers, metrics and a plot.
 
-    An SSP archive, of any tool, runs as it is: start values, nested systems, FMUs of others a process each.
-    Without --out nothing is written: the delay and packet ledgers and the result in a line are printed. With
-    --self-test and no --out only the self-test is done. --record, --every and --strict stand in for the
-    scenario's keys of these names. The trajectory is written while it runs.
+    An SSP archive of any tool runs unchanged: start values, nested systems, third-party FMUs in a process
+    each. Without --out it prints the delay and packet ledgers and one line of results, and writes nothing.
+    With --self-test and no --out it runs the self-test only. --record, --every and --strict override the keys
+    of the scenario with these names. The trajectory is written during the run.
     """
     from .destination import folder_for
 

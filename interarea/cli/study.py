@@ -45,7 +45,7 @@ Minutes = Annotated[
         "--minutes",
         metavar="MIN",
         min=0.1,
-        help="of a grid: time (else 10, worth 30, inverters 60); the rest is left out",
+        help="of a grid: time limit (else 10, worth 30, inverters 60); the rest is omitted",
     ),
 ]
 OutFolder = Annotated[
@@ -65,24 +65,23 @@ def study(
     dyr: Dyr = None,
     minutes: Minutes = None,
     second_solver: Annotated[
-        bool, typer.Option(help="of a study: solve every LMI by cvxpy with Clarabel too, in a process beside")
+        bool,
+        typer.Option(help="of a study: also solve every LMI by cvxpy with Clarabel, in a parallel process"),
     ] = True,
     grid: Annotated[
         list[str] | None,
-        typer.Option(
-            "--grid", metavar="GRID", help="of worth, inverters or actuators: a grid; again for more"
-        ),
+        typer.Option("--grid", metavar="GRID", help="of worth, inverters or actuators: a grid; repeatable"),
     ] = None,
     actuator: Annotated[
         list[str] | None,
-        typer.Option("--actuator", metavar="KIND", help="of actuators: exciter, lcc, svc ..; again for more"),
+        typer.Option("--actuator", metavar="KIND", help="of actuators: exciter, lcc, svc ..; repeatable"),
     ] = None,
     mva: Annotated[
         float | None,
         typer.Option(
             "--mva",
             metavar="MVA",
-            help="of actuators: power of each device (else the least there)",
+            help="of actuators: power of each device (else the least of the case)",
             callback=within(above=0.0, unit="MVA"),
         ),
     ] = None,
@@ -91,14 +90,14 @@ def study(
         typer.Option(
             "--controller",
             metavar="NAME",
-            help="of wrong-signals: a controller; again for more",
+            help="of wrong-signals: a controller; repeatable",
             callback=naming("controller"),
         ),
     ] = None,
     kind: Annotated[
         list[str] | None,
         typer.Option(
-            "--kind", metavar="NAME", help="of wrong-signals: such as polarity (else all); again for more"
+            "--kind", metavar="NAME", help="of wrong-signals: such as polarity (else all); repeatable"
         ),
     ] = None,
     disturbance: Annotated[
@@ -106,7 +105,7 @@ def study(
         typer.Option(
             "--disturbance",
             metavar="NAME",
-            help="of wrong-signals: rest, pulse, bus fault, tie trip (else all); again for more",
+            help="of wrong-signals: rest, pulse, bus fault, tie trip (else all); repeatable",
         ),
     ] = None,
     one_point: Annotated[
@@ -114,13 +113,13 @@ def study(
     ] = False,
     json_: Annotated[bool, typer.Option("--json", help="print JSON instead of the files' names")] = False,
 ) -> None:
-    """Run a whole study, or study a grid: modes, a design made for it, faults, report.html, study.json.
+    """Run a whole study, or study a grid: modes, a design for it, faults, report.html, study.json.
 
-    Of a grid: exit code 1 where neither local stabilizers nor a loop hold what is asked; the page has the
-    reason.
-    The study `worth` says of named grids whether a wide-area signal pays: worth.html, worth.parquet.
+    For a grid the exit code is 1 if neither local stabilizers nor a loop meet the requirements; the page has
+    the reason.
+    The study `worth` determines for named grids whether a wide-area signal pays: worth.html, worth.parquet.
     The study `inverters` replaces 0 to 80 % of the machines' power by inverters: inverters.html.
-    The study `actuators` says of one grid which kind of actuator damps it best: actuators.html.
+    The study `actuators` compares the kinds of actuators on one grid: actuators.html.
     The study `wrong-signals` runs controllers with each kind of wrong signal: wrong_signals.html.
     """
     from interarea.cosim.scenario.named import study_file

@@ -49,12 +49,12 @@ def sweep(
     workers: Workers = None,
     scheduler: Scheduler = None,
     retry: Annotated[
-        str | None, typer.Option("--retry", metavar="failed", help="do runs that failed before again, too")
+        str | None, typer.Option("--retry", metavar="failed", help="also repeat runs that failed before")
     ] = None,
     large: Annotated[bool, typer.Option("--large", help="confirm a very large number of runs")] = False,
     json_: Annotated[bool, typer.Option("--json", help="print JSON instead of lines")] = False,
 ) -> None:
-    """Run a scenario over many parameters; a sweep that was stopped goes on where it was."""
+    """Run a scenario over many parameters; an interrupted sweep resumes."""
     from .destination import folder_for
 
     check_workers(workers, scheduler)
@@ -137,13 +137,13 @@ def maps(
     worst: Annotated[
         int,
         typer.Option(
-            "--worst", metavar="N", help="worst runs that are drawn", callback=within(least=0, most=50)
+            "--worst", metavar="N", help="number of worst runs to draw", callback=within(least=0, most=50)
         ),
     ] = 6,
     workers: Workers = None,
     json_: Annotated[bool, typer.Option("--json", help="print JSON instead of the page's name")] = False,
 ) -> None:
-    """Draw the maps of a sweep: stability, margins certified and simulated, worst runs; one page."""
+    """Draw the maps of a sweep on one page: stability, certified and simulated margins, worst runs."""
     from .destination import file_for
 
     if folder.exists() and not folder.is_dir():
@@ -176,24 +176,24 @@ def screen(
         ),
     ],
     out: OutFolder,
-    trips: Annotated[bool, typer.Option("--trips", help="open each branch in place of faults")] = False,
+    trips: Annotated[bool, typer.Option("--trips", help="open each branch instead of faults")] = False,
     bus: Annotated[
-        list[int] | None, typer.Option("--bus", metavar="NUMBER", help="only this bus; may be repeated")
+        list[int] | None, typer.Option("--bus", metavar="NUMBER", help="only this bus; repeatable")
     ] = None,
     branch: Annotated[
         list[str] | None,
-        typer.Option("--branch", metavar="NAME", help="only this branch, with --trips; may be repeated"),
+        typer.Option("--branch", metavar="NAME", help="only this branch, with --trips; repeatable"),
     ] = None,
     outage: Annotated[
         list[str] | None,
-        typer.Option("--outage", metavar="BRANCH", help="once more with this one out; may be repeated"),
+        typer.Option("--outage", metavar="BRANCH", help="also with this branch out; repeatable"),
     ] = None,
     controller: Annotated[
         list[str] | None,
         typer.Option(
             "--controller",
             metavar="NAME",
-            help="beside none; may be repeated",
+            help="in addition to none; repeatable",
             callback=naming("controller"),
         ),
     ] = None,
@@ -225,13 +225,14 @@ def screen(
         ),
     ] = None,
     explore: Annotated[
-        bool, typer.Option("--explore", help="write explorer.html too: each disturbance as a page to drag")
+        bool,
+        typer.Option("--explore", help="also write explorer.html: each disturbance as an interactive page"),
     ] = False,
     workers: Workers = None,
     scheduler: Scheduler = None,
     json_: Annotated[bool, typer.Option("--json", help="print JSON instead of lines")] = False,
 ) -> None:
-    """Fault every bus of a grid, or trip every branch; one page, worst first, with clearing times."""
+    """Fault every bus of a grid, or trip every branch; write one page, worst first, with clearing times."""
     from interarea.cosim.screen.page import Explorer, write_grid, write_screening
     from interarea.cosim.screen.screening import Screening, run_screening
     from interarea.fmu_build.write.cache import default_cache

@@ -30,14 +30,14 @@ def fit(
         str, typer.Option("--machine", metavar="NAME", help="machine of the case that was recorded")
     ],
     parameters: Annotated[
-        str, typer.Option("--parameters", metavar="KEY,KEY", help="such as H,exciter.KA; none: play in alone")
+        str, typer.Option("--parameters", metavar="KEY,KEY", help="such as H,exciter.KA; none: no fit")
     ] = "",
     rest: Annotated[
         float,
         typer.Option(
             "--rest",
             metavar="S",
-            help="how long the record is at rest at its start, s",
+            help="duration of the steady state at the start of the record, s",
             callback=ABOVE_0_S,
         ),
     ] = 0.5,
@@ -45,7 +45,7 @@ def fit(
     unit: Units = None,
     json_: Annotated[bool, typer.Option("--json", help="print JSON instead of a table")] = False,
 ) -> None:
-    """Play a record into a machine alone with its controls; fit parameters; say what it does not show."""
+    """Apply a record to a single machine with its controls; fit its parameters; name undetermined ones."""
     from interarea.models.case.case import load_case
 
     grid = load_case(case)

@@ -31,7 +31,7 @@ def locate(
         typer.Option(
             "--frequency",
             metavar="HZ",
-            help="of the oscillation; the largest by itself",
+            help="of the oscillation; default: the largest",
             callback=within(above=0.0, unit="Hz"),
         ),
     ] = None,
@@ -39,7 +39,7 @@ def locate(
     unit: Units = None,
     json_: Annotated[bool, typer.Option("--json", help="print JSON instead of a table")] = False,
 ) -> None:
-    """Locate an oscillation: by the energy flow at each terminal and, with --case, by the grid's model."""
+    """Locate an oscillation by the energy flow at each terminal and, with --case, by the grid's model."""
     region = band_of(band)
     if band is not None and frequency is not None:
         raise UsageMistake(

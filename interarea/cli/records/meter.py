@@ -48,14 +48,15 @@ def meter(
         ),
     ] = None,
     channel: Annotated[
-        list[str] | None, typer.Option("--channel", metavar="NAME", help="look at this channel alone; repeat")
+        list[str] | None,
+        typer.Option("--channel", metavar="NAME", help="analyse this channel alone; repeatable"),
     ] = None,
     beside: Annotated[
         Path | None,
         typer.Option(
             "--beside",
             metavar="FILE",
-            help="the record without the controller that FILE has: what damping it brought",
+            help="record without the controller of FILE: prints the change of damping",
             callback=naming("record"),
         ),
     ] = None,
@@ -64,14 +65,14 @@ def meter(
         typer.Option(
             "--every",
             metavar="SECONDS",
-            help="follow each swing through parts of that length, such as 600; the file may be of a day",
+            help="track each oscillation through parts of this length, such as 600, in a long file",
         ),
     ] = None,
     window: Window = None,
     unit: Units = None,
     json_: Annotated[bool, typer.Option("--json", help="print JSON instead of a table")] = False,
 ) -> None:
-    """Meter a record: what swings, how damped by two methods, forced or modal, which mode of a case."""
+    """Analyse a record: oscillations, damping by two methods, forced or modal, matching mode of a case."""
     region = band_of(band)
     grid = case_named(case)
     frequency_hz = grid.frequency_hz if grid else 60.0

@@ -33,14 +33,16 @@ CaseName = Annotated[
     ),
 ]
 Band = Annotated[
-    str | None, typer.Option("--band", metavar="LOW:HIGH", help="frequencies looked at, Hz; 0.1:2.5")
+    str | None, typer.Option("--band", metavar="LOW:HIGH", help="frequency band, Hz; default 0.1:2.5")
 ]
 Window = Annotated[
-    str | None, typer.Option("--window", metavar="START:END", help="part of the record that is taken, s")
+    str | None, typer.Option("--window", metavar="START:END", help="part of the record to use, s")
 ]
 Units = Annotated[
     list[str] | None,
-    typer.Option("--unit", metavar="WHAT=UNIT", help="unit of a channel or quantity, as VA=rad, where wrong"),
+    typer.Option(
+        "--unit", metavar="WHAT=UNIT", help="unit of a channel or quantity, as VA=rad, if the file is wrong"
+    ),
 ]
 
 
