@@ -34,16 +34,16 @@ _INNER = {"scenario": ("folder", "rounded"), "case": ("sources",)}
 def kinds() -> dict[str, str]:
     """Return the kinds of files with what each is."""
     return {
-        "scenario": "a scenario: what is run, through which channels, and what happens when (TOML)",
+        "scenario": "a scenario: grid, controller, channels, events and their times (TOML)",
         "case": "a case: a grid with its machines, controls and loads (TOML); tables of rows are keyed by id",
         "events": "events: the `[[event]]` tables of a scenario or case",
-        "design": "a design: operating points, losses, latencies and what a controller is asked for (TOML)",
+        "design": "a design: operating points, losses, latencies and requirements (TOML)",
         "controller": "a controller as it is stored, u = +K y (JSON)",
         "device": "a device: an exciter, stabilizer, governor or compensator (TOML) that a case names",
         "sweep": "a sweep: one scenario, many values (TOML)",
         "study": "a study: one case through designs, runs, figures and a report (TOML)",
-        "grid_study": "the study of a grid: what is asked; what it leaves out follows rules (TOML)",
-        "claims": "what a publication prints, to be judged by a study's numbers (TOML)",
+        "grid_study": "the study of a grid: requirements and choices; rules determine the others (TOML)",
+        "claims": "the claims of a publication, for verdicts by a study's numbers (TOML)",
     }
 
 
@@ -174,8 +174,8 @@ def _controller_schema() -> dict[str, Any]:
         "outputs": (names, "actuators, pu"),
         "limit_pu": ({"type": "number", "exclusiveMinimum": 0, "default": 0.15}, "bound of every output"),
         **dict.fromkeys("ABCD", (matrix, "matrix of dx/dt = A x + B y, u = C x + D y; rows")),
-        "design": ({"type": "object"}, "how it was made; {} when that is not known"),
-        "certificate": ({"type": ["object", "null"]}, "what was checked on the full plant"),
+        "design": ({"type": "object"}, "the design method; {} if unknown"),
+        "certificate": ({"type": ["object", "null"]}, "results on the full plant"),
         "guard": ({"type": ["object", "null"], "default": None}, "limits of the output during a first swing"),
     }
     return {
@@ -193,7 +193,7 @@ def page(kind: str) -> str:
         f"# Every key of {'events' if kind == 'events' else f'a {kind}'.replace('_', ' ')}",
         "",
         f"For those who write {kinds()[kind]}. After this page you know every key with its unit, range, "
-        "default and an example; it is made by `docs/formats/make.py` from the models that check the files.",
+        "default and an example. `docs/formats/make.py` generates it from the models that check the files.",
         "",
     ]
     if kind in ("scenario", "events", "study"):
@@ -212,10 +212,10 @@ def page(kind: str) -> str:
         from interarea.models.devices.schema import diagram_words
 
         lines += diagram_words()
-    start = "" if kind == "events" else f" `interarea new {kind}` writes one to start from."
+    start = "" if kind == "events" else f" `interarea new {kind}` writes a template."
     if kind == "grid_study":
-        start = " `interarea new study GRID` writes one with what is found in a grid."
-    lines += [f"Next: [the commands that take it](../generated/commands.md).{start}"]
+        start = " `interarea new study GRID` writes one with the defaults for a grid."
+    lines += [f"Next: [the commands that use it](../generated/commands.md).{start}"]
     return "\n".join(lines).rstrip() + "\n"
 
 
@@ -230,7 +230,7 @@ def _table(
     about = " ".join(str(part.get("description", "")).split("\n\n")[0].split())
     if about and name != "top level":
         yield from (about, "")
-    yield "| key | holds | unit | default | example | what it is |"
+    yield "| key | type | unit | default | example | meaning |"
     yield "|---|---|---|---|---|---|"
     required = part.get("required", ())
     for key, rule in part["properties"].items():
@@ -240,7 +240,7 @@ def _table(
         default = "needed" if key in required else _value(rule.get("default"))
         words = rule.get("description") or comments.get(f"{name}.{key}", "")
         if not words and "const" in rule:
-            words = "says which of them it is"
+            words = "the kind"
         own_examples = rule.get("examples") or ([rule["const"]] if "const" in rule else [])
         provided = [f"`{json.dumps(value)}`" for value in own_examples]
         example = examples.get(name, {}).get(key) or next(iter(provided), "")

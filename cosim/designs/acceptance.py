@@ -49,7 +49,7 @@ class FaultPlace(Table):
 
 
 class AcceptanceTable(Table):
-    """What a controller must survive: every combination is run.
+    """Faults that a controller must survive: every combination is run.
 
     ceilings : (least, most) field voltage of every exciter that has limits, pu; as the case has them too.
     loads : exponents of P and Q of every load; as the case has them too.
@@ -57,26 +57,26 @@ class AcceptanceTable(Table):
     clear_cycles : of the fault, periods of the case's frequency.
     """
 
-    fault: tuple[FaultPlace, ...] = Field(min_length=1)  #: the faults, each tried at every operating point
-    #: operating points at which they are tried; none: all of the design. A certificate names the others
+    fault: tuple[FaultPlace, ...] = Field(min_length=1)  #: the faults, each run at every operating point
+    #: operating points of the faults; none: all of the design. A certificate names the others
     points: tuple[str, ...] = ()
-    #: (least, most) field voltage of every exciter that has limits, pu; as the case has them too
+    #: (least, most) field voltage of every exciter with limits, pu; in addition to those of the case
     ceilings: tuple[tuple[float, float], ...] = ()
     #: exponents of P and Q of every load, such as 1 and 2: P of constant current, Q of constant impedance; as
     #: the case has them too
     loads: tuple[tuple[Exponent, Exponent], ...] = ()
     #: of every signal, one run for each value
     latency_s: tuple[Annotated[float, Field(ge=0.0)], ...] = Field((0.1,), min_length=1)
-    clear_cycles: Positive = 8.0  #: how long the fault lasts, periods of the case's frequency
-    start_s: Positive = 1.0  #: when the fault begins
-    lost_s: Positive = 1.5  #: from when on the lost signal is lost
-    #: signals whose loss the controller need not survive; a certificate names them first
+    clear_cycles: Positive = 8.0  #: duration of the fault, periods of the case's frequency
+    start_s: Positive = 1.0  #: start of the fault
+    lost_s: Positive = 1.5  #: start of the loss
+    #: signals that are not lost in the faults; a certificate names them first
     never_lost: tuple[str, ...] = ()
-    #: end of each run; a run whose linear loop has a root slower than 0.05 1/s takes at least 60 s
+    #: end of each run; at least 60 s if the linear loop has a root slower than 0.05 1/s
     stop_s: Positive = 10.0
     x_pu: Positive = 1e-4  #: reactance of the fault to earth
     longest_cycles: Positive = 30.0  #: clearing times are searched from 1 cycle to this
-    resolution_cycles: Positive = 0.15  #: how finely a clearing time is searched
+    resolution_cycles: Positive = 0.15  #: resolution of a clearing time
 
     def check(self, points: Sequence[str]) -> None:
         """Raise ValueError where `points` of the table names what is no operating point of the design."""

@@ -56,12 +56,12 @@ class DesignTable(Table):
     """
 
     name: str  #: of the controller: letters, digits and _
-    case: str  #: bundled name, or a case file beside this one
-    remote: str | None = None  #: the signal that comes from afar, such as `G2_dw`
+    case: str  #: bundled name, or a case file relative to this one
+    remote: str | None = None  #: the remote signal, such as `G2_dw`
     local: str | None = None  #: the signal measured at the actuator, such as `G4_dw`
-    #: input of the plant that is driven, such as `G4_vs`; with `part`: named there
+    #: controlled input of the plant, such as `G4_vs`; with `part`: named there
     actuator: str | None = None
-    order: Annotated[int, Field(ge=1, le=20)] = 6  #: states of the controller, those of its washouts counted
+    order: Annotated[int, Field(ge=1, le=20)] = 6  #: states of the controller, including its washouts
     #: decentralised: one table for each actuator, instead of `actuator`, `remote` and `local`
     part: tuple[PartTable, ...] = ()
     #: N: all signals at once; L: the remote one lost; s100: all 100 ms late; ns150: the remote one 150 ms
@@ -72,17 +72,17 @@ class DesignTable(Table):
     #: of a washout at each output; 0: none. With `dc_block`: no answer to a speed that rises steadily either
     washout_s: Annotated[float, Field(ge=0.0)] = 0.0
     dc_block: bool = True  #: the controller does not answer a constant speed deviation
-    feedthrough: bool = False  #: whether the controller may answer a signal at once
+    feedthrough: bool = False  #: whether the controller may have direct feedthrough
     slowest_pole: Positive = 0.3  #: bound from below of the magnitude of the controller's poles, rad/s
     fastest_pole: Positive = 280.0  #: bound of the magnitude of the controller's poles, rad/s
     #: (rad/s, pu per rad/s): cap of the effort over frequency, straight between the points in log scales
     effort_cap: tuple[tuple[Positive, Positive], ...] = ((0.05, 0.155), (300.0, 0.155))
-    effort_under: tuple[str, ...] = ()  #: conditions under which the search holds that cap; none: all
+    effort_under: tuple[str, ...] = ()  #: conditions with that cap in the search; none: all
     #: signal -> factor on the controller's gain from it once the search has ended; none: 1
     gain_of: Mapping[str, float] = {}
     #: (rad/s, damping): how much more than elsewhere the optimisation wants there, piecewise linear
     offset: Offsets = Field(tuple(zip(*_OFFSETS, strict=True)), min_length=2)
-    rho: Positive = 600.0  #: how closely the smoothed worst damping of the search follows the worst
+    rho: Positive = 600.0  #: sharpness of the smoothed worst damping of the search
     limit_pu: Positive = 0.15  #: bound of the magnitude of every output
     guard: GuardTable | None = None  #: limits of the output that fall during a first swing
     start_from: str | None = None  #: bundled controller, or its JSON file, of the same loops and order
@@ -90,7 +90,7 @@ class DesignTable(Table):
     evaluations: Annotated[int, Field(ge=1)] = 1800  #: of the objective, from each start
     polishes: Annotated[int, Field(ge=0)] = 20  #: rounds of descent from the best start
     seed: int = 1  #: of the random starts
-    #: operating points, the first ones, on which the starts are tried; the best goes on with all. 0: all
+    #: number of first operating points for the starts; the best continues with all. 0: all
     starts_on: Annotated[int, Field(ge=0)] = 0
     plant_order: Annotated[int, Field(ge=2)] = 16  #: states of the reduced plants of the search
     pade_order: Annotated[int, Field(ge=1, le=8)] = 3  #: of the latencies in the search
@@ -101,14 +101,14 @@ class DesignTable(Table):
     #: none: all conditions at once from random starts, and `rho`, `evaluations`, `polishes`, `starts_on` and
     #: `within` say how
     stage: tuple[StageTable, ...] = ()
-    ask: AskTable = AskTable()  #: what the certificate asks for
-    target: tuple[TargetTable, ...] = ()  #: other wishes where signals are all there, late, lost or scaled
+    ask: AskTable = AskTable()  #: requirements of the certificate
+    target: tuple[TargetTable, ...] = ()  #: other targets if signals are all available, late, lost or scaled
     fault: FaultTable | None = None  #: the fault that the certificate runs at every operating point
     #: non-linear faults that `interarea certify NAME --acceptance` runs
     acceptance: AcceptanceTable | None = None
-    first_swing: FirstSwingTable | None = None  #: what the search lets a controller add to a first swing
-    bank: BankTable | None = None  #: other controllers for when signals are lost, behind a supervisor
-    source: str = ""  #: where the design comes from
+    first_swing: FirstSwingTable | None = None  #: limit of the controller's contribution to a first swing
+    bank: BankTable | None = None  #: other controllers for lost signals, behind a supervisor
+    source: str = ""  #: source of the design
     _grid: Case | None = PrivateAttr(None)  # of `on`
 
     @property

@@ -40,7 +40,7 @@ class PointTable(Table):
     #: parameters changed by name: "exciter gain -30 %", "inertia of area 2 -30 %", "tie reactance +20 %",
     #: "loads of constant power", "no stabilizer at G3", "no governors", ...
     vary: tuple[str, ...] = ()
-    #: (rad/s, damping) wanted here on top of `offset` of the design; none: as much as elsewhere
+    #: (rad/s, damping) required here in addition to `offset` of the design; none: nothing
     more: Offsets = ()
     #: (least damping ratio of any swing mode, of the inter-area mode) that the certificate asks here, instead
     #: of what `ask` and `target` say
@@ -48,7 +48,7 @@ class PointTable(Table):
 
 
 class AskTable(Table):
-    """What the certificate asks of every operating point under every condition."""
+    """Requirements of the certificate at every operating point under every condition."""
 
     worst_swing: Ratio = 0.0  #: least damping ratio of any swing mode
     inter_area: Ratio = 0.0  #: least damping ratio of the inter-area mode
@@ -80,7 +80,7 @@ class AskTable(Table):
 
 
 class TargetTable(Table):
-    """What is wanted under one kind of condition, instead of what `ask` and `offset` want of all."""
+    """Targets under one kind of condition, instead of `ask` and `offset`, which apply to all."""
 
     #: `all` signals there at once, some `late`, `lost` or `scaled`; or the code of one of the `conditions`,
     #: whose target comes before that of its kind
@@ -92,41 +92,44 @@ class TargetTable(Table):
 
 
 class PartTable(Table):
-    """One actuator of a decentralised controller: what it sees, and its order, a washout counted."""
+    """One actuator of a decentralised controller: its inputs and its order, including a washout."""
 
-    actuator: str  #: input of the plant that this part drives
-    signals: tuple[str, ...] = Field(min_length=1)  #: what this part sees
-    order: Annotated[int, Field(ge=1, le=20)] = 4  #: states of this part, that of its washout counted
+    actuator: str  #: input of the plant that this part controls
+    signals: tuple[str, ...] = Field(min_length=1)  #: inputs of this part
+    order: Annotated[int, Field(ge=1, le=20)] = 4  #: states of this part, including its washout
 
 
 class MemberTable(Table):
-    """A controller of a bank for when some signals alone arrive; points, limits, search as in the design."""
+    """A controller of a bank for a subset of signals; points, limits, search as in the design."""
 
     name: str  #: of the member: letters, digits and _
-    #: it acts where these arrive, and not all of those of a member before it
+    #: it acts if these arrive, and not all of those of a member before it
     signals: tuple[str, ...] = Field(min_length=1)
-    #: as those of the design, of its own signals
+    #: as in the design, for its own signals
     conditions: tuple[str, ...] = Field(min_length=1)
     order: Annotated[int, Field(ge=1, le=20)] = 6  #: states for each actuator
     #: (rad/s, damping) as `offset` of the design; none: that of the design
     offset: Offsets = ()
     #: cap of the effort as `effort_cap` of the design; none: that of the design
     effort_cap: tuple[tuple[Positive, Positive], ...] = ()
-    first_swing: bool = True  #: whether [first_swing] of the design holds for it
+    first_swing: bool = True  #: whether [first_swing] of the design applies
     worst_swing: Ratio = 0.0  #: least damping ratio of any swing mode that its certificate asks for
     inter_area: Ratio = 0.0  #: least damping ratio of the inter-area mode that it asks for
 
 
 class BankTable(Table):
-    """A bank instead of one controller: the design's own acts while all its signals arrive, else a `member`.
+    """A bank instead of one controller: the design's own acts with all its signals, else a `member`.
 
     A supervisor follows the validity flags of the signals and fades from one to the other; it has the guard.
     """
 
-    member: tuple[MemberTable, ...] = Field(min_length=1)  #: in order of preference, after the design's own
-    fade_s: Annotated[float, Field(ge=0.0)] = 0.05  #: time constant of the fade, 0: at once
-    loss_s: Annotated[float, Field(ge=0.0)] = 0.0  #: how long a flag is down before its signal is lost
-    return_s: Annotated[float, Field(ge=0.0)] = 1.0  #: how long a flag is up before its signal is back
+    #: in order of preference, after the design's own controller
+    member: tuple[MemberTable, ...] = Field(min_length=1)
+    fade_s: Annotated[float, Field(ge=0.0)] = 0.05  #: time constant of the fade, 0: immediate
+    #: time with an invalid flag before the signal counts as lost
+    loss_s: Annotated[float, Field(ge=0.0)] = 0.0
+    #: time with a valid flag before the signal counts as restored
+    return_s: Annotated[float, Field(ge=0.0)] = 1.0
 
     def check(self, signals: Sequence[str], guard: GuardTable | None) -> None:
         """Raise ValueError for members that see what the design does not, and a guard that turns."""
@@ -138,11 +141,11 @@ class BankTable(Table):
 
 
 class StageTable(Table):
-    """One stage of the search, which goes on from where the one before ended."""
+    """One stage of the search, which continues from the result of the previous one."""
 
-    conditions: tuple[str, ...] = ()  #: those of the design that are looked at; none: all
-    points: tuple[str, ...] = ()  #: operating points that are looked at; none: all
-    #: how closely the smoothed worst damping follows the worst, from one value to the next
+    conditions: tuple[str, ...] = ()  #: conditions of the design to use; none: all
+    points: tuple[str, ...] = ()  #: operating points; none: all
+    #: sharpness of the smoothed worst damping, one value after the other
     rho: tuple[Positive, ...] = Field((60.0, 120.0, 300.0), min_length=1)
     steps: Annotated[int, Field(ge=1)] = 40  #: of the descent at each value of `rho`, at most
     #: (rad/s, damping) as `offset` of the design, in this stage alone; none: that of the design
@@ -158,12 +161,12 @@ class StageTable(Table):
 
 
 class GuardTable(Table):
-    """Which side of the output limit falls while a first swing lasts (`models.blocks.controller.Guard`)."""
+    """Side of the output limit that is lowered in a first swing (`models.blocks.controller.Guard`)."""
 
     #: output -> signal, a speed, that tells of the swing; or several, whose mean does: the guard goes on when
     #: one of them is lost
     watched: dict[str, str | tuple[str, ...]] = Field(min_length=1)
-    sides: dict[str, Annotated[float, Field(ge=-1.0, le=1.0)]]  #: above 0 the upper limit falls
+    sides: dict[str, Annotated[float, Field(ge=-1.0, le=1.0)]]  #: above 0: the upper limit is lowered
     threshold: Positive  #: rad/s
     #: time constant of the washout before it, so that a lasting deviation does not hold the limit shut
     washout_s: Positive = 10.0

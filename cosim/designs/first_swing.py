@@ -40,16 +40,16 @@ KEPT_BELOW, LOST_ABOVE = 0.05, 0.1
 
 
 class FaultTable(Table):
-    """The fault that a controller is tried with: a bus fault, then a branch trip, signals late and lost."""
+    """The fault of the certificate: a bus fault, then a branch trip, signals late and lost."""
 
     bus: int  #: number of the faulted bus
-    branch: str  #: tripped when the fault is cleared
-    start_s: Positive = 1.0  #: when the fault begins
-    clear_s: Positive = 1.1333333  #: when the fault is cleared
-    lost_s: Positive = 1.5  #: from when on the lost signals are lost
+    branch: str  #: branch tripped when the fault is cleared
+    start_s: Positive = 1.0  #: start of the fault
+    clear_s: Positive = 1.1333333  #: clearing time of the fault
+    lost_s: Positive = 1.5  #: start of the loss
     latency_s: Annotated[float, Field(ge=0.0)] = 0.1  #: of every signal
     stop_s: Positive = 13.0  #: end of the run
-    settle_s: Positive = 10.0  #: settling must be done so long after the fault's start
+    settle_s: Positive = 10.0  #: latest settling time after the fault's start
 
 
 @dataclass(frozen=True)

@@ -38,16 +38,16 @@ LONGEST_S = 2.5
 
 
 class FirstSwingTable(Table):
-    """The first swing as part of the design: what a controller may add to it, to first order."""
+    """The first swing in the design: the largest contribution of the controller, to first order."""
 
     #: degrees allowed of every case, step by step: the search goes from one to the next
     margins_deg: tuple[float, ...] = Field((20.0, 14.0, 10.0, 7.0, 5.0), min_length=1)
-    points: tuple[str, ...] = ()  #: operating points that are looked at; none: all of the design
-    #: (least, most) field voltage of every exciter that has limits, pu, beside the case's own; none: those of
-    #: the acceptance
+    points: tuple[str, ...] = ()  #: operating points; none: all of the design
+    #: (least, most) field voltage of every exciter with limits, pu, in addition to the case's own; none:
+    #: those of the acceptance
     ceilings: tuple[tuple[float, float], ...] = ()
     latency_s: Annotated[float, Field(ge=0.0)] = 0.1  #: of every signal
-    limit_pu: Positive | None = None  #: of the outputs in this reckoning; none: the design's
+    limit_pu: Positive | None = None  #: of the outputs in this calculation; none: the design's
 
     def check(self, points: Sequence[str], acceptance: AcceptanceTable | None) -> None:
         """Raise ValueError where it names no point of the design, or there is no fault to go by."""

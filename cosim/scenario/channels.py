@@ -66,7 +66,7 @@ class EmpiricalLatency(Table):
     """A random latency on top of `latency_s`: quantiles at equally spaced probabilities 0 to 1."""
 
     kind: Literal["empirical"]  #: a measured distribution
-    #: evenly spaced quantiles from the least to the largest, straight between them
+    #: evenly spaced quantiles from the least to the largest, interpolated linearly
     quantiles_s: Annotated[tuple[Seconds, ...], Field(min_length=2)]
 
     @field_validator("quantiles_s")
@@ -80,7 +80,7 @@ class EmpiricalLatency(Table):
 class BernoulliLoss(Table):
     """Each packet is lost with probability `rate`."""
 
-    kind: Literal["bernoulli"]  #: each packet is lost by itself
+    kind: Literal["bernoulli"]  #: independent loss of each packet
     rate: Probability  #: share of lost packets
 
 
@@ -88,8 +88,8 @@ class GilbertElliottLoss(Table):
     """Loss in a good and a bad state; moves between them once per packet."""
 
     kind: Literal["gilbert_elliott"]  #: losses in bursts: a good and a bad state
-    good_to_bad: Probability  #: probability a packet
-    bad_to_good: Annotated[float, Field(gt=0.0, le=1.0)]  #: probability a packet
+    good_to_bad: Probability  #: probability per packet
+    bad_to_good: Annotated[float, Field(gt=0.0, le=1.0)]  #: probability per packet
     loss_good: Probability = 0.0  #: share lost in the good state
     loss_bad: Probability = 1.0  #: share lost in the bad state
 
@@ -97,22 +97,22 @@ class GilbertElliottLoss(Table):
 class ChannelLine(Table):
     """How a channel delays and loses what is sent (semantics: models/c/channel/channel_variables.h)."""
 
-    latency_s: Seconds = 0.0  #: how late the signal is; exact to the tick of a nanosecond
-    #: what the receiver gets while the signal is lost: zero, the last value, or that for `hold_s`
+    latency_s: Seconds = 0.0  #: delay of the signal; exact to a nanosecond
+    #: value while the signal is lost: zero, the last value, or the last value for `hold_s`
     on_loss: Literal["zero", "hold", "hold_then_zero"] = "hold_then_zero"
-    hold_s: Seconds = 0.5  #: how long `hold_then_zero` holds
+    hold_s: Seconds = 0.5  #: hold time of `hold_then_zero`
     reporting_interval_s: Seconds = 0.0  #: time between packets; 0: a continuous signal without packets
-    jitter_s: Seconds = 0.0  #: each packet is late by 0 to this much more, evenly spread
+    jitter_s: Seconds = 0.0  #: additional delay of each packet, uniform from 0 to this
     #: random latency of each packet on top of `latency_s`
     latency: Annotated[GammaLatency | EmpiricalLatency, Field(discriminator="kind")] | None = None
-    #: random loss of packets; a number is the share that is lost, each packet by itself
+    #: random loss of packets; a number is the share of independent losses
     loss: Annotated[BernoulliLoss | GilbertElliottLoss, Field(discriminator="kind")] | None = None
     quantum: Seconds = 0.0  #: values are rounded to multiples of this; 0: not rounded
-    pdc_wait_s: Seconds = 0.0  #: a packet is handed on so long after its time stamp, or not at all
-    #: of the packets' random numbers; default: made of the channel's name, so that no two lose the same ones
+    pdc_wait_s: Seconds = 0.0  #: a packet is forwarded this long after its time stamp, or discarded
+    #: of the packets' random numbers; default: derived from the channel's name, so that channels differ
     seed: Annotated[int, Field(ge=0, lt=2**31)] | None = None
-    outages_s: tuple[tuple[Seconds, Seconds], ...] = ()  #: [from, to] times in which the signal is lost
-    #: what is wrong with the signal while its flag is up, in order of time, at most 4
+    outages_s: tuple[tuple[Seconds, Seconds], ...] = ()  #: [from, to] intervals in which the signal is lost
+    #: wrong signals that are flagged as valid, in order of time, at most 4
     signal_faults: tuple[SignalFault, ...] = ()
 
     @field_validator("loss", mode="before")

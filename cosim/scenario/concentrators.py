@@ -23,26 +23,26 @@ class PathTable(Table):
     """How one signal gets to the concentrator; `lost_s`: stamps in [start, end) never do."""
 
     latency_s: Seconds = 0.0  #: from the source to the concentrator
-    jitter_s: Seconds = 0.0  #: each packet is late by 0 to this much more, evenly spread
+    jitter_s: Seconds = 0.0  #: additional delay of each packet, uniform from 0 to this
     loss: Probability = 0.0  #: share of lost packets
-    lost_s: tuple[Seconds, Seconds] | None = None  #: [from, to]: lost altogether in between
-    #: what is wrong with the signal while its flag is up, in order of time, at most 4
+    lost_s: tuple[Seconds, Seconds] | None = None  #: [from, to]: lost in between
+    #: wrong signals that are flagged as valid, in order of time, at most 4
     signal_faults: tuple[SignalFault, ...] = ()
 
 
 class ConcentratorLine(Table):
     """Several signals aligned by time stamp (semantics: models/c/concentrator/concentrator.h)."""
 
-    #: what is aligned, a table each
+    #: the aligned signals, a table each
     signals: Annotated[tuple[PathTable, ...], Field(min_length=1, max_length=MOST_SIGNALS)]
     reporting_interval_s: Annotated[float, Field(ge=1e-4)] = 0.02  #: time between the sets
     wait_s: Seconds = 0.1  #: longest wait for a set
     relative: bool = False  #: wait from the first arrival of a set on, not from its time stamp
     latency_s: Seconds = 0.0  #: from the concentrator to the controller
-    #: what stands for a signal that is missing: zero, its last value, or that for `hold_s`
+    #: value of a missing signal: zero, its last value, or the last value for `hold_s`
     on_loss: Literal["zero", "hold", "hold_then_zero"] = "hold_then_zero"
-    hold_s: Seconds = 0.5  #: how long `hold_then_zero` holds
-    #: of the random numbers; default: made of the concentrator's name
+    hold_s: Seconds = 0.5  #: hold time of `hold_then_zero`
+    #: of the random numbers; default: derived from the concentrator's name
     seed: Annotated[int, Field(ge=0, lt=2**31)] | None = None
 
     @field_validator("latency_s", "wait_s")

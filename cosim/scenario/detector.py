@@ -20,30 +20,30 @@ Positive = Annotated[float, Field(gt=0.0)]
 
 
 class DetectorTable(Table):
-    """Which signals are trusted (semantics: models/c/detector/detector.h); it sees all that travel.
+    """Which signals are trusted (semantics: models/c/detector/detector.h); input: all signals in packets.
 
     A signal that no input of the controller takes is a witness: it is compared with the others.
     """
 
-    #: of `design_detector`, beside this file: how right signals move together; default: not tested
+    #: of `design_detector`, relative to this file: patterns of correct signals; default: not tested
     file: Annotated[str, Field(examples=["detector.json"])] = ""
     range_pu: Annotated[float, Field(gt=0.0, examples=[0.05])] = 0.05  #: largest magnitude of a signal
     jump_pu_per_s: Annotated[float, Field(gt=0.0, examples=[0.24])] = 0.24  #: its largest change in a second
-    #: frames in a row that are too many while others move: equal ones, or the same as earlier ones
+    #: consecutive frames, equal or as earlier ones, that fail the test while others move
     repeat_frames: Annotated[int, Field(ge=1)] = 10
     #: largest distance of a signal's mean from the median of the others
     apart_pu: Annotated[float, Field(gt=0.0, examples=[0.001])] = 0.001
-    #: share of what the others swing by which it may be further apart
+    #: share of the others' span that is added to this distance
     apart_share: Annotated[float, Field(ge=0.0)] = 0.75
-    #: largest median of the second differences of a signal, beside twice that of the others
+    #: largest median of the second differences of a signal, plus twice that of the others
     rough_pu: Annotated[float, Field(gt=0.0, examples=[0.0001])] = 0.0001
     average_s: Positive = 2.0  #: time over which means are taken: a period of the slowest swing, or more
-    #: how long a signal passes every test before it is trusted again; twice as long each further time
+    #: time without a failed test before a signal is trusted again; twice as long each further time
     return_s: Annotated[float, Field(ge=0.0, examples=[5.0])] = 60.0
     #: span of a swing that takes all signals out when it stands, whatever its cause; ambient noise with 4 mHz
     #: rms between areas does so once in 50 days (docs/wrong_signals.md)
     standing_pu: Annotated[float, Field(gt=0.0, examples=[0.0003])] = 0.0003
-    standing_s: Positive = 15.0  #: how long such a swing stands before they are
+    standing_s: Positive = 15.0  #: duration of such a swing before they are withheld
     wait_s: Annotated[float, Field(ge=0.0)] = 1.0  #: signals later than this are not waited for
 
     def wrong(self, paths: Sequence[SignalPath], names: Collection[str]) -> Iterator[str]:

@@ -16,11 +16,11 @@ Verdict = Literal["settled", "settling slowly", "standing swing", "growing", "sy
 class Expectation(Table):
     """The stated outcome: `damping_ratio` and `settling_time_s` as [least, most]."""
 
-    #: whether the machines stay together and what is left of the disturbance falls
+    #: whether synchronism is kept and the disturbance decays
     stable: bool | None = None
-    #: whether no two machines or voltage sources of an island come half a turn apart
+    #: whether no angle between machines or voltage sources of an island reaches half a turn
     synchronism: bool | None = None
-    verdict: Verdict | None = None  #: what the run comes to
+    verdict: Verdict | None = None  #: verdict of the run
     damping_ratio: Mapping[str, tuple[float, float]] = {}  #: mode -> [least, most]
     settling_time_s: tuple[float, float] | None = None  #: [least, most]
     #: [least, most] of the swing signal

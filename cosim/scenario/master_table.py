@@ -12,16 +12,17 @@ from ..stepping_words import Early, Inputs, Loops, early_word
 
 
 class MasterTable(Table):
-    """How the master hands inputs over and what it does with loops (see `Master`)."""
+    """How the master transfers inputs and treats loops (see `Master`)."""
 
-    #: how inputs move between communication points: cubics, straight lines, or held
+    #: inputs between communication points: cubics, straight lines, or held
     inputs: Inputs = "hermite"
     #: loops without a channel: iterate with saved states, extrapolate, or whichever is possible
     loops: Loops = "auto"
     tolerance: Annotated[float, Field(gt=0.0, lt=1.0)] = 1e-7  #: of the iteration, relative
-    #: when an FMU ends a step early: continue from there with it, or set all back to the last point
+    #: if an FMU ends a step early: continue from there, or roll all back to the last point
     early: Annotated[Early, BeforeValidator(early_word)] = "continue"
-    arrivals: Literal["exact", "grid"] = "exact"  #: packets come out at their instant, or on the grid
+    #: packets arrive at their instant, or at communication points
+    arrivals: Literal["exact", "grid"] = "exact"
     joint: bool = False  #: no master: plant, controller and channels in one block (`run_joint`)
 
     @property

@@ -124,10 +124,10 @@ _OF_NETWORK = re.compile(r"bus\d+\.(v|angle|re|im)|branch\[.*\]\.[pqi]")
 class FmuTable(Table):
     """Any FMI 2.0 co-simulation FMU: file, start values, the least latency it promises."""
 
-    file: Annotated[str, Field(min_length=1)]  #: the FMU, beside this file
+    file: Annotated[str, Field(min_length=1)]  #: the FMU, relative to this file
     start: Mapping[str, float | int | bool | str] = {}  #: variable -> start value
-    latency_s: Seconds = 0.0  #: at least so long from any input to any output
-    isolate: bool = False  #: in a process of its own, which it may crash
+    latency_s: Seconds = 0.0  #: least delay from any input to any output
+    isolate: bool = False  #: in a separate process
     time_limit_s: Annotated[float, Field(gt=0.0)] | None = None  #: of one call there
 
     @model_validator(mode="after")
@@ -160,34 +160,34 @@ class Scenario(Table):
     controller_gain: float = 1.0  #: factor on the controller's output, before its limit
     #: instead of the controller's own output limit
     controller_limit_pu: Annotated[float, Field(gt=0.0)] | None = None
-    #: a change to the case, no copy of which is needed
+    #: changes to the case for this scenario
     operating_point: OperatingPointTable = OperatingPointTable.model_construct()
     plant: Mapping[str, float] = {}  #: start value of parameters of the plant's FMU by name
     stop_s: Annotated[float, Field(gt=0.0)]  #: end of the run
     #: communication step; default: chosen from latencies and events
     step_s: Annotated[float, Field(gt=0.0)] | None = None
-    #: name -> the path of one signal; a signal without one arrives undelayed
+    #: name -> the path of one signal; a signal without a channel is not delayed
     channels: Mapping[ShortName, ChannelTable] = {}
     #: name -> several signals aligned by time stamp (IEEE C37.247)
     concentrators: Mapping[ShortName, ConcentratorTable] = {}
     fmus: Mapping[ShortName, FmuTable] = {}  #: name -> a user-defined FMU
-    #: says which signals are trusted, and takes the others away from the controller
+    #: identifies wrong signals and withholds them from the controller
     detector: DetectorTable | None = None
-    connections: tuple[tuple[str, ...], ...] = ()  #: [from, channels on the way, to] for user-defined FMUs
-    #: refuse an FMU whose description breaks the standard even where it does no harm; else a warning tells
+    connections: tuple[tuple[str, ...], ...] = ()  #: [from, channels between, to] for user-defined FMUs
+    #: reject an FMU whose description violates the standard even without consequences; default: a warning
     strict: bool = False
-    #: outputs of the plant beside those it shows by itself, by pattern: bus16.v, bus*.angle, branch[1-2].i
+    #: additional outputs of the plant, by pattern: bus16.v, bus*.angle, branch[1-2].i
     show: tuple[str, ...] = ()
     record: tuple[str, ...] = ()  #: signals (INSTANCE.VARIABLE, or a pattern: plant.*) to write; default: all
     every: Annotated[int, Field(ge=1)] = 1  #: every n-th point is written, and the last
     event: tuple[Any, ...] = ()  #: faults, trips, pulses and steps, a table each
-    #: [machine, machine]: the difference of speeds that the run is judged by; default: the case's, else the
+    #: [machine, machine]: speed difference that is the swing signal; default: the case's, else the
     #: extreme machines of the inter-area mode
     swing: Annotated[tuple[str, ...], Field(min_length=2, max_length=2)] | None = None
-    title: Title = ""  #: in a line what is shown
-    source: str = ""  #: where the scenario comes from
+    title: Title = ""  #: one line on the purpose
+    source: str = ""  #: source of the scenario
     master: MasterTable = MasterTable.model_construct()  #: how the FMUs are stepped
-    expect: Expectation = Expectation.model_construct()  #: the outcome that the tests assert
+    expect: Expectation = Expectation.model_construct()  #: expected outcome
     name: ShortName = "scenario"  #: short, for files and messages; default: the file's name
     folder: Path = Path()
     rounded: tuple[str, ...] = ()  #: times that lay between two ticks, and what they were taken as

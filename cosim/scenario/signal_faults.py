@@ -24,8 +24,8 @@ Seconds = Annotated[float, Field(ge=0.0)]
 class _Fault(Table):
     """Measurements in [start_s, end_s) are wrong (semantics: models/c/channel/signal_fault.h)."""
 
-    start_s: Annotated[Seconds, Field(examples=[2.0])]  #: first time at which the signal is measured wrong
-    #: first time at which it is right again; default: never
+    start_s: Annotated[Seconds, Field(examples=[2.0])]  #: start of the wrong signal (time of measurement)
+    #: end of the wrong signal; default: never
     end_s: Annotated[float, Field(gt=0.0)] | None = Field(default=None, examples=[3.0])
 
     packets: ClassVar[bool] = False  # whether it acts on packets alone
@@ -56,7 +56,7 @@ class _Fault(Table):
 class StuckSignal(_Fault):
     """The signal stays at its value at `start_s`."""
 
-    kind: Literal["stuck"]  #: it no longer changes
+    kind: Literal["stuck"]  #: a constant value
 
 
 class BiasedSignal(_Fault):
@@ -74,7 +74,7 @@ class BiasedSignal(_Fault):
 class RampedSignal(_Fault):
     """`rate_per_s` is added each second."""
 
-    kind: Literal["ramp"]  #: what is added grows evenly
+    kind: Literal["ramp"]  #: an offset that grows linearly
     rate_per_s: Annotated[float, Field(examples=[0.001])]  #: in the unit of the signal each second
 
     @property
@@ -86,7 +86,7 @@ class RampedSignal(_Fault):
 class DriftingSignal(_Fault):
     """`size` is added, reached with a time constant: size (1 - exp(-(t - start_s) / time_s))."""
 
-    kind: Literal["drift"]  #: what is added grows towards `size`
+    kind: Literal["drift"]  #: an offset that grows towards `size`
     size: Annotated[float, Field(examples=[0.003])]  #: in the unit of the signal
     time_s: Annotated[float, Field(gt=0.0, examples=[2.0])]  #: time constant
 
@@ -100,7 +100,7 @@ class ScaledSignal(_Fault):
     """The signal is multiplied by `factor`; 0: it is zero."""
 
     kind: Literal["scale"]  #: a wrong scale
-    factor: float  #: 1 would be right
+    factor: float  #: 1: correct
 
     @property
     def numbers(self) -> tuple[float, float]:
@@ -130,10 +130,10 @@ class NoisySignal(_Fault):
 
 
 class SpikedSignal(_Fault):
-    """Some packets are far off, up or down."""
+    """Some packets have a large error, up or down."""
 
     kind: Literal["spike"]  #: single wrong packets
-    size: Annotated[float, Field(examples=[0.01])]  #: by which they are off, in the unit of the signal
+    size: Annotated[float, Field(examples=[0.01])]  #: their error, in the unit of the signal
     probability: Annotated[float, Field(ge=0.0, le=1.0)] = 0.1  #: of each packet
 
     packets: ClassVar[bool] = True
@@ -146,10 +146,10 @@ class SpikedSignal(_Fault):
 
 
 class ReplayedSignal(_Fault):
-    """The packets of the last `length_s` before the start are sent again and again, with new stamps."""
+    """The packets of the last `length_s` before the start are sent repeatedly, with new stamps."""
 
-    kind: Literal["replay"]  #: old packets once more
-    length_s: Annotated[float, Field(gt=0.0, examples=[1.5])]  #: how much of what was is sent again
+    kind: Literal["replay"]  #: repeated old packets
+    length_s: Annotated[float, Field(gt=0.0, examples=[1.5])]  #: length of the repeated interval
 
     packets: ClassVar[bool] = True
 
@@ -171,8 +171,8 @@ class MistimedSignal(_Fault):
     """The clock of the source is wrong: values are older than their stamps."""
 
     kind: Literal["time_error"]  #: a wrong time stamp
-    offset_s: Annotated[Seconds, Field(examples=[0.3])]  #: by which a value is older than its stamp says
-    drift_s_per_s: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0  #: by which this grows each second
+    offset_s: Annotated[Seconds, Field(examples=[0.3])]  #: age of a value minus that of its time stamp
+    drift_s_per_s: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0  #: its growth per second
 
     @property
     def numbers(self) -> tuple[float, float]:
@@ -194,9 +194,9 @@ class OscillatingSignal(_Fault):
 
 
 class SwappedSignal(_Fault):
-    """What another signal of the same concentrator measures is sent in its place."""
+    """Another signal of the same concentrator is sent instead."""
 
-    kind: Literal["swap"]  #: another signal in its place
+    kind: Literal["swap"]  #: another signal instead
     other: Annotated[int, Field(ge=1, examples=[2])]  #: number of that signal in the concentrator, from 1
 
     packets: ClassVar[bool] = True

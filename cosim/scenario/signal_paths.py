@@ -22,13 +22,13 @@ _OUTPUTS = {"frequency": "deviation", "rocof": "rocof", "v": "v", "angle": "angl
 
 
 class PmuTable(Table):
-    """A phasor measurement unit (IEC/IEEE 60255-118-1) at a bus, in place of an output of the plant."""
+    """A phasor measurement unit (IEC/IEEE 60255-118-1) at a bus, instead of an output of the plant."""
 
     bus: Annotated[int, Field(strict=True, ge=1)]  #: number of the bus that it measures
     performance: Literal["P", "M"] = "P"  #: class: P is quick, M filters for the reporting rate
-    #: what the controller gets: frequency (its deviation in pu of nominal), rocof (Hz/s), v (pu), angle (rad)
+    #: input of the controller: frequency (deviation in pu of nominal), rocof (Hz/s), v (pu), angle (rad)
     quantity: Literal["frequency", "rocof", "v", "angle"] = "frequency"
-    #: that an M class filter is for; default: the packets of its channel, else one each cycle
+    #: of the M class filter; default: the packets of its channel, else one each cycle
     reporting_rate_hz: Annotated[float, Field(gt=0.0)] | None = None
 
     @property
@@ -62,7 +62,7 @@ class _Measured(Table):
 
     #: output of the plant that travels to the controller's input of that name; with `pmu` that input
     signal: str = ""
-    pmu: PmuTable | None = None  #: measures a bus in place of an output of the plant
+    pmu: PmuTable | None = None  #: measures a bus instead of an output of the plant
 
     @model_validator(mode="after")
     def _named(self) -> Self:

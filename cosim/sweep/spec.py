@@ -54,24 +54,24 @@ class Trajectories(Table):
     """Which trajectories are stored, of which columns (default: all), every how many points."""
 
     keep: Literal["none", "all", "unstable"] = "none"  #: of no run, of all, or of unstable ones
-    columns: tuple[str, ...] = ()  #: names that are kept; default: all
-    every: Annotated[int, Field(ge=1)] = 1  #: each so manieth point is kept
+    columns: tuple[str, ...] = ()  #: stored names; default: all
+    every: Annotated[int, Field(ge=1)] = 1  #: every N-th point is stored
 
 
 class Sweep(Table):
     """A checked sweep; `base` is the scenario that is varied."""
 
     name: ShortName = "sweep"  #: of the sweep
-    title: Title = ""  #: in a line what is shown
+    title: Title = ""  #: one line on the purpose
     base: Scenario
-    parameters: Mapping[str, Parameter] = {}  #: name -> what is varied
+    parameters: Mapping[str, Parameter] = {}  #: name -> varied quantity
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0  #: of the random parameters
     #: number of runs of random and latin-hypercube parameters
     samples: Annotated[int, Field(ge=1)] | None = None
     #: what a row holds; "synchronism" besides, for faults: angles, lowest voltage, extremes of frequency
     metrics: tuple[str, ...] = METRICS
     time_limit_s: Annotated[float, Field(gt=0.0)] = 60.0  #: of one run; longer ones are failed rows
-    trajectories: Trajectories = Trajectories()  #: which trajectories are kept
+    trajectories: Trajectories = Trajectories()  #: stored trajectories
 
     @model_validator(mode="after")
     def _metrics_exist(self) -> Self:

@@ -30,7 +30,7 @@ class Range(Table):
     stop: float  #: last value
     step: float | None = None  #: distance of two values; or `count`
     count: Annotated[int, Field(ge=1)] | None = None  #: number of values, both ends counted; or `step`
-    scale: Literal["linear", "log"] = "linear"  #: even in the value or in its logarithm
+    scale: Literal["linear", "log"] = "linear"  #: uniform in the value or in its logarithm
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
@@ -72,8 +72,8 @@ class Interval(Table):
 
     low: float  #: lower end
     high: float  #: upper end
-    scale: Literal["linear", "log"] = "linear"  #: even in the value or in its logarithm
-    digits: Annotated[int, Field(ge=0, le=15)] | None = None  #: round to so many digits
+    scale: Literal["linear", "log"] = "linear"  #: uniform in the value or in its logarithm
+    digits: Annotated[int, Field(ge=0, le=15)] | None = None  #: decimal digits
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
@@ -88,12 +88,12 @@ class Draw(Table):
 
     low: float | None = None  #: lower end
     high: float | None = None  #: upper end of an even distribution
-    scale: Literal["linear", "log"] = "linear"  #: even in the value or in its logarithm
+    scale: Literal["linear", "log"] = "linear"  #: uniform in the value or in its logarithm
     mean: float | None = None  #: of a normal distribution
     #: standard deviation of a normal distribution about `mean`
     deviation: Annotated[float, Field(gt=0.0)] | None = None
     choose: Annotated[tuple[Any, ...], Field(min_length=1)] | None = None  #: draw from this list
-    digits: Annotated[int, Field(ge=0, le=15)] | None = None  #: round to so many digits
+    digits: Annotated[int, Field(ge=0, le=15)] | None = None  #: decimal digits
 
     @model_validator(mode="after")
     def _one_form(self) -> Self:
@@ -138,7 +138,7 @@ class Search(Table):
     low: float  #: lower end
     high: float  #: upper end of the search
     tolerance: Annotated[float, Field(gt=0.0)]  #: width at which the search ends
-    #: values looked at before the bisection, so that islands are seen
+    #: values tested before the bisection, so that islands are detected
     scan: Annotated[int, Field(ge=2, le=1000)] = 9
     seeds: Annotated[int, Field(ge=1, le=1000)] = 1  #: runs at each value; stable where all are
 
@@ -155,13 +155,13 @@ _FORMS = ("values", "range", "latin_hypercube", "random", "bisect")
 class Parameter(Table):
     """One `[parameters.NAME]` table: where the value goes (`path`, default: the name) and which values."""
 
-    #: the key of the scenario, or several that move together; default: the parameter's name
+    #: the key of the scenario, or several with the same value; default: the parameter's name
     path: str | Annotated[tuple[str, ...], Field(min_length=1)] | None = None
     values: tuple[Any, ...] | None = None  #: the values themselves
     range: Range | None = None  #: evenly spaced values
-    latin_hypercube: Interval | None = None  #: drawn so that each parameter alone is spread evenly
+    latin_hypercube: Interval | None = None  #: latin-hypercube samples: each parameter is spread evenly
     random: Draw | None = None  #: drawn at random
-    bisect: Search | None = None  #: search the value at which the loop turns unstable
+    bisect: Search | None = None  #: search for the value at which the loop becomes unstable
     unit: str = ""  #: for maps and tables
     label: str = ""  #: for maps and tables; default: the parameter's name
 

@@ -31,13 +31,13 @@ BusNumber = Annotated[int, Field(strict=True, ge=1)]
 class _Event(Table):
     """Start time in seconds from the start of the run."""
 
-    start_s: Time  #: when it begins
+    start_s: Time  #: start
 
 
 class _Lasting(_Event):
     """An event that may end; without `end_s` it lasts to the end of the run."""
 
-    end_s: Time | None = None  #: when it ends; without it: it lasts
+    end_s: Time | None = None  #: end; default: it persists
 
     @model_validator(mode="after")
     def _ends_later(self) -> Self:
@@ -90,12 +90,12 @@ class VrefPulse(_Lasting):
 class _Ramp(Table):
     """A change that may take its time."""
 
-    #: over which the change grows evenly from 0, in equal stairs of at most 20 ms; 0: at once
+    #: duration of the ramp from 0, in equal steps of at most 20 ms; 0: a step
     rise_s: Time = 0.0
 
 
 class VrefStep(_Event, _Ramp):
-    """The voltage set-point of `machine` is raised by `size_pu` for good."""
+    """The voltage set-point of `machine` is raised by `size_pu` permanently."""
 
     kind: Literal["vref_step"] = "vref_step"
     machine: Target  #: name of the machine
@@ -112,7 +112,7 @@ class PmPulse(_Lasting):
 
 
 class PmStep(_Event, _Ramp):
-    """The mechanical power of `machine` is raised by `size_pu` (machine base) for good.
+    """The mechanical power of `machine` is raised by `size_pu` (machine base) permanently.
 
     Where it has a governor this is the governor's set-point.
     """
@@ -168,16 +168,16 @@ class Oscillation(_Lasting):
     """
 
     kind: Literal["oscillation"] = "oscillation"
-    on: Literal["voltage_reference", "mechanical_power", "load"]  #: what swings
+    on: Literal["voltage_reference", "mechanical_power", "load"]  #: target of the oscillation
     machine: Target | None = None  #: name of the machine; of a load `load` or `bus`
     load: Target | None = None  #: name of the load; or `bus`
     bus: BusNumber | None = None  #: where the load is; or `load`
     frequency_hz: Annotated[float, Field(strict=True, ge=1e-4, le=10.0)]  #: of its first harmonic
-    #: amplitude: as of `vref_step`, `pm_step`, `load_step`; of a load also `p_pu`, `q_pu`
+    #: amplitude, as in `vref_step`, `pm_step`, `load_step`; for a load also `p_pu`, `q_pu`
     size_pu: Number | None = None
     p_pu: Number | None = None  #: amplitude of a load's active power, of the system base
     q_pu: Number | None = None  #: amplitude of a load's reactive power, of the system base
-    shape: Literal["sine", "square"] = "sine"  #: a square wave leaps each half period, from above
+    shape: Literal["sine", "square"] = "sine"  #: sine, or square wave that starts with its upper value
     harmonics: tuple[Number, ...] = ()  #: amplitudes of harmonics 2, 3, ... of a sine, shares of the first
 
     @model_validator(mode="after")
@@ -218,7 +218,7 @@ class Oscillation(_Lasting):
 
 
 class LoadNoise(_Lasting):
-    """Loads fluctuate at random about their values, both powers in proportion, each load by itself.
+    """Loads fluctuate randomly and independently about their values, both powers in proportion.
 
     A stationary Ornstein-Uhlenbeck process every 20 ms, of normal distribution, its spectrum flat up to
     `corner_hz`. It follows from the seed, the load's number in the case and the time alone.
@@ -228,7 +228,7 @@ class LoadNoise(_Lasting):
     load: Target | None = None  #: name of the load, or `bus`; without both: every load
     bus: BusNumber | None = None  #: where the load is; or `load`
     size_pu: Annotated[float, Field(strict=True, gt=0.0, le=1.0)]  #: standard deviation, share of the load
-    #: at which its spectrum has fallen to half
+    #: frequency at which its spectrum is half
     corner_hz: Annotated[float, Field(strict=True, ge=1e-3, le=5.0)] = 0.5
     seed: Annotated[int, Field(strict=True, ge=0, le=2147483647)] = 0  #: of its random numbers
 
@@ -274,7 +274,7 @@ class DeviceTrip(_Event):
 
 
 class HvdcBlock(_Lasting):
-    """A dc link is blocked at `start_s`; with `end_s` it starts again then, its control as it was.
+    """A dc link is blocked at `start_s`; with `end_s` it restarts then with its previous control state.
 
     Both converters carry no current, filters stay; the dc current of line-commutated ones dies away within
     10 ms, the dc voltage of voltage-source ones stands.
@@ -285,7 +285,7 @@ class HvdcBlock(_Lasting):
 
 
 class ShuntSwitch(_Lasting):
-    """`shunt` is switched out (`to = "out"`) or in at `start_s`, and back at `end_s` when that is given."""
+    """`shunt` is switched out (`to = "out"`) or in at `start_s`, and back at `end_s` if given."""
 
     kind: Literal["shunt_switch"] = "shunt_switch"
     shunt: Target  #: name of the shunt
@@ -302,11 +302,11 @@ class _FrequencyRelay(_Lasting):
 
     #: below the rated frequency: acts under it, above: over it
     threshold_hz: Annotated[float, Field(strict=True, gt=0.0)]
-    delay_s: Time = 0.0  #: how long the frequency must be beyond the threshold
+    delay_s: Time = 0.0  #: time beyond the threshold before the relay acts
     breaker_s: Time = 0.1  #: from the relay's order until the breaker is open
-    filter_s: Time = 0.05  #: time constant of what the relay measures with
-    start_s: Time = 0.0  #: since when it is in use
-    end_s: Time | None = None  #: until when; without it: to the end of the run
+    filter_s: Time = 0.05  #: time constant of the measurement of the relay
+    start_s: Time = 0.0  #: start of operation
+    end_s: Time | None = None  #: end of operation; default: end of the run
 
 
 class FrequencyShed(_FrequencyRelay, _AtLoad):
