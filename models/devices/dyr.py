@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -12,6 +12,14 @@ from .language.device import DyrModel
 from .language.expression import evaluate
 from .language.structure import Model
 from .library import library
+
+WHOLE = "DERA1"  #: a record that is a converter by itself
+CURRENTS = "; --converters current takes converters as constant currents"
+#: of another converter: one record of each
+_ORDERS = ("REECB1", "REECA1", "REECC1")
+_PARTS = ((("REGCA1", "REGCB1", "REGCC1"), "is the converter itself"), (_ORDERS, "sets its currents"))
+#: of a type 3 wind turbine: none of the first three, or all
+_TURBINE = ("WTARA1", "WTPTA1", "WTTQA1", "WTDTA1")
 
 
 class DyrRecord(Protocol):
@@ -55,6 +63,25 @@ def _rows(model: Model) -> tuple[DyrModel, ...]:
     if model.device.dyr or model.device.key in library():
         return model.device.dyr
     return (DyrModel(model.device.name.upper(), tuple(p.name for p in model.device.parameters), ()),)
+
+
+def fault_of_converter(records: Collection[str]) -> str:
+    """Return why the records of a unit make up no converter, with the remedy; empty when they do."""
+    if WHOLE in records:
+        beside = sorted({*records} - {WHOLE})
+        return f"has {WHOLE} and {beside[0]}, allowed: {WHOLE} alone" if beside else ""
+    for models, does in _PARTS:
+        seen = [model for model in models if model in records]
+        if len(seen) != 1:
+            has = f"no {' or '.join(models)}, which {does}" if not seen else f"{' and '.join(seen)}"
+            return f"has {has}, allowed: one{CURRENTS}"
+    some = [model for model in _TURBINE[:3] if model in records]
+    missing = [model for model in _TURBINE if model not in records]
+    if some and missing:
+        has = f"{' and '.join(some)} without {' and '.join(missing)}"
+        goes_on = f"--leave-out {','.join(some)} goes on with a turbine of constant power"
+        return f"has {has}, allowed: all of {', '.join(_TURBINE)}; {goes_on}"
+    return ""
 
 
 def device_for_dyr(record: DyrRecord, own: Iterable[Model] = ()) -> DyrDevice:

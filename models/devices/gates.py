@@ -80,10 +80,10 @@ def crossed(node: Node, model: Model, known: Mapping[str, float]) -> Hold | None
 
     A signal over a parameter, as a field current over the rated one, is compared without the quotient.
     """
-    for pick in (part for part in _parts(node) if part.op == "pick" and part.args[0].op in ("<", ">")):
+    tree = spelled_out(node, model)
+    for pick in (part for part in _parts(tree) if part.op == "pick" and part.args[0].op in ("<", ">")):
         signal, limit = pick.args[0].args
         if evaluate(pick.args[0], known):
-            signal = spelled_out(signal, model)
             if signal.op == "/" and all(name in model.device.by_name for name in signal.args[1].names):
                 signal, limit = signal.args[0], Node("*", (limit, signal.args[1]))
             return Hold(float(evaluate(signal, known)), limit, above=pick.args[0].op == ">")

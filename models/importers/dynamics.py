@@ -18,8 +18,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..devices.dyr import device_for_dyr, dyr_models, own_records
-from ..devices.language.device import OF_CONVERTER
+from ..devices.dyr import CURRENTS, device_for_dyr, dyr_models, fault_of_converter, own_records
+from ..devices.language.device import OF_CONVERTER, DyrModel
 from ..devices.language.structure import Model
 from ..devices.library import NONE, library
 from ..errors import CaseError, nearest
@@ -38,11 +38,6 @@ CONVERTER = "converter"  #: kind of the devices of these
 SOURCE = "source"  #: kind of those that are a voltage behind ZR + jZX of the RAW file, one record each
 SVC = "svc"  #: kind of the devices of units that are SVCs
 PLANT_CONTROL = "REPCA1"  #: a record that names another bus or a branch
-WHOLE = "DERA1"  #: a record that is a converter by itself
-#: of another converter: one record of each
-_ORDERS = ("REECB1", "REECA1", "REECC1")
-_PARTS = ((("REGCA1", "REGCB1", "REGCC1"), "is the converter itself"), (_ORDERS, "sets its currents"))
-_CURRENTS = "; --converters current takes converters as constant currents"
 
 #: why these are not modelled
 _LOAD = "a load of many motors and electronics, which LOAD of the RAW stands for"
@@ -50,7 +45,6 @@ _OVER = "an over-excitation limiter; left out, nothing takes a field above its r
 _UNDER = "an under-excitation limiter; left out, nothing stops a machine that takes too much Q"
 _WHY = {
     **dict.fromkeys(("CMLDBLU1", "CMLDBLU2", "ACMTBLU1", "CIM5BL", "CIM6BL", "CLODBL"), _LOAD),
-    **dict.fromkeys(("WTARA1", "WTPTA1", "WTTQA1"), "wind, pitch or torque of a turbine"),
     **dict.fromkeys(("MAXEX1", "OEL1B"), _OVER),
     **dict.fromkeys(("MNLEX1", "MNLEX2", "UEL1", "UEL2"), _UNDER),
 }
@@ -59,6 +53,7 @@ _WHY = {
 _ASSUMED = {
     "GDFORM": "GridPACK's GDFORM taken as REGFMA1: E late by 5 ms where it is not integrated",
     "MAXEX2": "MAXEX2 watches the field current, also where its first field asks for the field voltage",
+    "PFLAG": "PFLAG = 1 beside a WTTQA1, which multiplies by the speed already, taken as 0",
     "INPUTTYPE": "what another program hands a PSSSIM with INPUTTYPE = 1 is not in the file: taken as 0",
 }
 
@@ -259,7 +254,12 @@ class _Units:
                 continue
             place = next(at for (unit, _), at in self.seen.items() if unit == name)
             if kind == CONVERTER:
-                _check_parts(name, place, [model for unit, model in self.seen if unit == name])
+                fault = fault_of_converter([model for unit, model in self.seen if unit == name])
+                if fault:
+                    raise CaseError(f"{place}: {name} {fault}")
+                if row[kind].get("WT3") == row[kind].get("PFLAG") == 1.0:
+                    self.report.assume(_ASSUMED["PFLAG"], self.seen[name, "WTTQA1"])
+                    row[kind]["PFLAG"] = 0.0
             others = row.keys() - {kind}
             if others:
                 what = f"{sorted(others)[0]!r} beside a converter"
@@ -295,19 +295,6 @@ class _Units:
             self.report.assume(taken, f"{self.path}: bus {bus}, {identity!r}")
 
 
-def _check_parts(name: str, place: str, records: Collection[str]) -> None:
-    """Check that the records of a converter that is no voltage source make up one."""
-    if WHOLE in records:
-        for beside in sorted({*records} - {WHOLE}):
-            raise CaseError(f"{place}: {name} has {WHOLE} and {beside}, allowed: {WHOLE} alone")
-        return
-    for models, does in _PARTS:
-        seen = [model for model in models if model in records]
-        if len(seen) != 1:
-            has = f"no {' or '.join(models)}, which {does}" if not seen else f"{' and '.join(seen)}"
-            raise CaseError(f"{place}: {name} has {has}, allowed: one{_CURRENTS}")
-
-
 def _without_controls(rows: Mapping[str, Mapping[str, Any]]) -> list[str]:
     """Return a line for exciters and governors that some units have a record of and others not."""
     lines = []
@@ -323,7 +310,7 @@ def _without_controls(rows: Mapping[str, Mapping[str, Any]]) -> list[str]:
 
 
 def _row(
-    record: DyrRecord, own: Mapping[str, Model], records: Collection[str], report: Report
+    record: DyrRecord, own: Mapping[str, Model], records: Mapping[str, tuple[Model, DyrModel]], report: Report
 ) -> tuple[str, dict[str, Any]]:
     """What a record is, and the keys it gives."""
     if record.model not in MACHINES:
@@ -349,13 +336,15 @@ def _row(
 
 
 def _device(
-    record: DyrRecord, own: Mapping[str, Model], records: Collection[str], report: Report
+    record: DyrRecord, own: Mapping[str, Model], records: Mapping[str, tuple[Model, DyrModel]], report: Report
 ) -> tuple[str, dict[str, Any]]:
     """The kind of device that a record is, and its row."""
     if record.model not in records:
         raise CaseError(f"{record.where}: {_unknown(record, records)}")
     if record.model == "WSIEG1" and "WSIEG1" not in own_records(own.values()):
         record = _without_curve(record)
+    if len(record.fields) != len(records[record.model][1].fields):
+        record = _completed(record, report)
     result = device_for_dyr(record, own.values())
     device = result.model.device
     for name in result.unused:
@@ -372,12 +361,24 @@ def _without_curve(record: DyrRecord) -> DyrRecord:
     return dataclasses.replace(record, model="IEEEG1", fields=record.fields[:count]) if plain else record
 
 
+def _completed(record: DyrRecord, report: Report) -> DyrRecord:
+    """A WTARA1 with a field before Ka, or a WTDTA1 of one mass without Dshaft, as the published record."""
+    fields = record.fields
+    if record.model == "WTARA1" and len(fields) == 3:
+        report.assume("first of three fields of WTARA1 left out: Ka and theta0 follow", record.where)
+        return dataclasses.replace(record, fields=fields[1:])
+    if record.model == "WTDTA1" and len(fields) == 4 and not fields[2].strip("0.-+"):
+        report.assume("WTDTA1 without Dshaft, which one mass does not have", record.where)
+        return dataclasses.replace(record, fields=(*fields, "0"))
+    return record
+
+
 def _unknown(record: DyrRecord, records: Collection[str]) -> str:
     model = record.model
     if record.user and model not in _WHY:
         advice = f"; draw it as a device named {model} and give its file with --device"
     elif model in CONVERTERS:
-        advice = f": {_WHY[model]}{_CURRENTS}" if model in _WHY else _CURRENTS
+        advice = f": {_WHY[model]}{CURRENTS}" if model in _WHY else CURRENTS
     elif model in _WHY:
         advice = f": {_WHY[model]}; --leave-out {model} goes on without it"
     else:

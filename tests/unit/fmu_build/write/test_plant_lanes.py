@@ -116,6 +116,7 @@ tcsc1 = { branch = "7-8 a", x0_pu = 0.044, x_max_pu = 0.08 }
 [change.converters]
 pv1 = { bus = 7, base_mva = 200.0, P_mw = 100.0, Q_mvar = 20.0, control = { kind = "wecc_converter" } }
 pv3 = { bus = 7, base_mva = 60.0, P_mw = 30.0, control = { kind = "wecc_converter", REGCC = 1 } }
+wt1 = { bus = 9, base_mva = 60.0, P_mw = 30.0, control = { kind = "wecc_converter", TRAIN = 1, WT3 = 1 } }
 der1 = { bus = 9, base_mva = 50.0, P_mw = 20.0, control = { kind = "der_a", FreqFlag = 1, Ddn = 20.0 } }
 gfm1 = { bus = 8, base_mva = 100.0, P_mw = 50.0, Q_mvar = 5.0, control = { kind = "regfm_a1", Imax = 1.2 } }
 vsm1 = { bus = 8, base_mva = 50.0, P_mw = 20.0, control = { kind = "regfm_b1", Tvf = 0.02, Tif = 0.01 } }

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import scipy.integrate
 from grid_text import pair_with
+from one_converter import SHARE, X_TO_BUS, behind_a_line, beside_machines, course, solved, states_of
 from plant_shim import BlockShim
 from sparse_blocks import agreeing_blocks
 
 from interarea.models.blocks.plant import event_parameters, plant_block
-from interarea.models.case.case import case_of, load_case
+from interarea.models.case.case import load_case
 from interarea.models.case.events import events_of
 from interarea.models.errors import CaseError
 from interarea.models.grid.equilibrium import operating_point
@@ -19,16 +19,13 @@ from interarea.models.importers.psse import import_psse
 
 LOCKED = {"REGCC": 1, "Re": 0.01, "Xe": 0.2, "Te": 0.01, "Imax": 1.3, "Kip": 0.5, "Kii": 20.0}
 LOCKED |= {"Kppll": 30.0, "Kipll": 300.0}
-SHARE = 2.0  #: its base over that of the case
 STATES = {"wpll", "theta", "ipu", "iqu", "e", "delta", "ipg", "iqg"}
 DROOP = {"PLANT": 1, "plant_FFLAG": 1, "plant_Kpg": 0.5, "plant_Kig": 0.5, "plant_Tp": 0.1, "plant_Tg": 0.1}
 DROOP |= {"plant_Ddn": 10.0, "plant_Dup": 10.0, "plant_Kp": 1.0, "plant_Ki": 1.0, "plant_Tfltr": 0.02}
 
 
 def with_converter(base="two-area-thesis", where=None, **more):
-    row = {"bus": 8, "base_mva": 100.0 * SHARE, "P_mw": 100.0, "Q_mvar": 20.0} | (where or {})
-    row["control"] = {"kind": "wecc_converter"} | LOCKED | more
-    return load_case(base).with_changes({"converters": {"pv1": row}})
+    return beside_machines(LOCKED | more, base, **(where or {}))
 
 
 @pytest.mark.parametrize(
@@ -46,7 +43,7 @@ def with_converter(base="two-area-thesis", where=None, **more):
 @pytest.mark.parametrize(("network", "base"), [("dense", "two-area-thesis"), ("sparse", "kundur-manual")])
 def test_it_rests_and_the_derivatives_are_those_of_differences(network, base, more, where):
     plant = BlockShim(plant_block(with_converter(base, where, **more), network=network))
-    own = {n.removeprefix("pv1.") for n in plant.state_names if n.startswith("pv1.")}
+    own = set(states_of(plant))
     assert own >= STATES and not {"ip", "iq"} & own
     rates, y = plant.derivatives(plant.x)
     assert np.max(np.abs(rates)) < 5e-11
@@ -64,7 +61,7 @@ def test_its_power_is_that_of_a_voltage_behind_its_impedance(network):
     block = plant_block(case, network=network, more=["bus8.re", "bus8.im"])
     plant = BlockShim(block, event_parameters(case, events_of([fault], where="test")))
     _, x, y = plant.run(0.3, 0.001)
-    at = {n.removeprefix("pv1."): k for k, n in enumerate(plant.state_names)}
+    at = states_of(plant)
     out = {n: y[:, k] for k, n in enumerate(plant.output_names)}
     V = out["bus8.re"] + 1j * out["bus8.im"]
     E = x[:, at["e"]] * np.exp(1j * x[:, at["delta"]])
@@ -75,10 +72,8 @@ def test_its_power_is_that_of_a_voltage_behind_its_impedance(network):
 
 
 def test_at_rest_it_stands_for_20_s():
-    plant = BlockShim(plant_block(with_converter()))
-    own = [k for k, name in enumerate(plant.state_names) if name.startswith("pv1.")]
-    _, x, _ = plant.run(20.0, 0.002)
-    assert np.max(np.abs(x[:, own] - x[0, own])) < 1e-9
+    _, own, _ = course(with_converter(), 20.0, 0.002)
+    assert max(np.max(np.abs(path - path[0])) for path in own.values()) < 1e-9
 
 
 def test_all_angles_together_move_nothing():
@@ -90,29 +85,9 @@ def test_all_angles_together_move_nothing():
     assert np.max(np.abs(A @ angles)) < 1e-9 * np.max(np.abs(A))
 
 
-X_LINE = 0.3
-
-
-def alone(**parameters):
-    machine = {"bus": 2, "area": 1, "model": "infinite_bus", "Xd1": 1e-6, "base_mva": 1e4}
-    plant = {"bus": 1, "base_mva": 100.0, "P_mw": 50.0, "Q_mvar": 10.0}
-    document = {
-        "name": "locked",
-        "title": "a converter on an infinite bus",
-        "source": "ours",
-        "frequency_hz": 50.0,
-        "base_mva": 100.0,
-        "buses": {"1": {"area": 1}, "2": {"area": 1}},
-        "branches": {"line": {"from": 1, "to": 2, "x": X_LINE}},
-        "machines": {"G2": machine | {"P_mw": 0.0, "V_pu": 1.0, "slack": True}},
-        "converters": {"pv1": plant | {"control": {"kind": "wecc_converter"} | LOCKED | parameters}},
-    }
-    return case_of(document, where="locked")
-
-
 def block_diagram(first, at, p, p_mod, q_mod):
     """Integrate REGC_C by scipy with its voltage by components in the frame of the loop."""
-    Y, line, z = 1.0 / complex(p["Re"], p["Xe"]), 1.0 / (1j * (X_LINE + 1e-8)), complex(p["Re"], p["Xe"])
+    Y, line, z = 1.0 / complex(p["Re"], p["Xe"]), 1.0 / (1j * X_TO_BUS), complex(p["Re"], p["Xe"])
 
     def rates(t, s):
         vm, vf, pord, iql, ipg, iqg, xw, theta, xp, xq, ed, eq = s
@@ -147,9 +122,7 @@ def block_diagram(first, at, p, p_mod, q_mod):
 
     turned = first["e"] * np.exp(1j * (first["delta"] - first["theta"]))
     begin = [first.get(name, first["vm"]) for name in ORDER[:-2]] + [turned.real, turned.imag]
-    options = {"rtol": 1e-9, "atol": 1e-11, "max_step": 1e-3}
-    solved = scipy.integrate.solve_ivp(rates, (0.0, at[-1]), begin, t_eval=at, **options)
-    return dict(zip(ORDER, solved.y, strict=True))
+    return dict(zip(ORDER, solved(rates, begin, at), strict=True))
 
 
 ORDER = ("vm", "vf", "pord", "iqlag", "ipg", "iqg", "wpll", "theta", "ipu", "iqu", "ed", "eq")
@@ -169,12 +142,8 @@ def test_it_follows_the_block_diagram(more, reaches):
     """Orders of P and Q step at once; the diagram without what the run is about goes elsewhere."""
     p = {"RATEFLAG": 0, "Rrpwr": 10.0, "Iqrmax": 999.0, "ICON": 99.0, "wmax": 12.0, "wmin": -12.0}
     p |= LOCKED | more
-    plant = BlockShim(plant_block(alone(**more)))
-    u = plant.u.copy()
-    u[plant.input_names.index("pv1_p_mod")], u[plant.input_names.index("pv1_q_mod")] = 0.3, 0.1
-    time_s, x, _ = plant.run(0.5, 0.0005, u)
-    states = {n.removeprefix("pv1."): x[:, k] for k, n in enumerate(plant.state_names)}
-    first = {name: course[0] for name, course in states.items()}
+    time_s, states, _ = course(behind_a_line(LOCKED | more), 0.5, 0.0005, {"p_mod": 0.3, "q_mod": 0.1})
+    first = {name: path[0] for name, path in states.items()}
     turned = states["e"] * np.exp(1j * (states["delta"] - states["theta"]))
     states |= {"ed": turned.real, "eq": turned.imag}
     wanted = block_diagram(first, time_s, p, 0.3, 0.1)
