@@ -38,7 +38,7 @@ _JUMP_PU = 0.01  # second difference of a voltage: between two frames the record
 _BESIDE = 0.3  # of a jump: what the voltage may move in the steps beside it, for its instant to be fitted
 _MOST_JUMPS = 8  # whose instants are fitted
 _AROUND = 3  # frames on both sides of a jump that are not judged
-_FLOOR = 0.005  # of what P and Q move: errors of a model that is straight between frames are not less
+_FLOOR = 0.005  # of what P and Q move: errors of a model and of a spline between frames are not less
 _PARTNER = 0.3  # component of a singular direction that names a parameter
 
 

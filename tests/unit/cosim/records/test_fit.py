@@ -139,7 +139,7 @@ def test_a_jump_is_found_in_the_step_that_has_it_and_a_swing_is_none() -> None:
 
 
 @pytest.mark.slow
-def test_a_record_of_a_fault_gives_parameters_within_one_percent() -> None:
+def test_a_record_of_a_fault_gives_parameters_within_a_thousandth() -> None:
     """The record has the fault at 1 s and 1.1 s exactly: at the end of the steps that it jumps in."""
     fault = [{"kind": "bus_fault", "bus": 9, "start_s": 1.0, "end_s": 1.1, "x_pu": 0.01}]
     start = {"H": 1.25, "exciter.KA": 0.7, "stabilizer.K": 1.3}
@@ -157,4 +157,4 @@ def test_a_record_of_a_fault_gives_parameters_within_one_percent() -> None:
     result = ia.fit(record, case, "G1", list(truth), rest_s=0.9)
     assert {p.name for p in result.parameters} == set(truth)
     for p in result.parameters:
-        assert p.value == pytest.approx(truth[p.name], rel=0.01)
+        assert p.value == pytest.approx(truth[p.name], rel=0.001)
