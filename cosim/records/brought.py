@@ -16,7 +16,7 @@ import numpy as np
 from scipy.stats import norm
 
 from .ambient import LEVEL, Estimate, estimate_of_one
-from .forced import FORCED, MODAL, lines_of, without
+from .forced import MODAL, lines_of, without
 from .meter import Meter, Swing, meter, plain_estimate
 from .record import BAND_HZ, Array, Record, RecordError
 from .signals import Swings, swings_of
@@ -166,7 +166,7 @@ def _ambient(
     for k, swing in enumerate(modal):
         weights = _filter(shapes, k)
         near = (max(band_hz[0], _LOW * swing.frequency_hz), min(band_hz[1], _HIGH * swing.frequency_hz))
-        one, other_one = (_estimate(s, weights, band_hz, near) for s in (before, after))
+        one, other_one = (_estimate(s, weights, near) for s in (before, after))
         if one is not None and other_one is not None:
             rows.append((swing, one, other_one))
     return rows
@@ -198,13 +198,9 @@ def _filter(shapes: Sequence[Array], k: int) -> Array:
     return np.asarray(np.linalg.pinv(np.column_stack(real), rcond=_LEAST_PART)[k])
 
 
-def _estimate(
-    swings: Swings, weights: Array, band_hz: tuple[float, float], near_hz: tuple[float, float]
-) -> Estimate | None:
-    lines = lines_of(swings.combined, swings.step_s, band_hz)
-    taken = [x.frequency_hz * k for x in lines if x.kind == FORCED for k in (1, *x.harmonics)]
-    y = swings.values @ weights
-    return estimate_of_one(without((y / y.std())[:, None], swings.step_s, taken), swings.step_s, near_hz)
+def _estimate(swings: Swings, weights: Array, near_hz: tuple[float, float]) -> Estimate | None:
+    y = without(swings, lines_of(swings)).values @ weights
+    return estimate_of_one((y / y.std())[:, None], swings.step_s, near_hz)
 
 
 def _difference(

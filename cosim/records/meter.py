@@ -166,8 +166,8 @@ def _ring_down(
         if band_hz[0] <= mode.frequency_hz <= band_hz[1] and size >= least
     ]
     stands = [mode.frequency_hz for _, mode, _ in seen if _stands(mode.pole)]
-    if lines := _forced_at(swings, since, band_hz, stands):
-        rest, misfit = _ring_down(_left_by(swings, lines), start, band_hz, since=since)
+    if lines := _forced_at(swings, since, stands):
+        rest, misfit = _ring_down(without(swings, lines), start, band_hz, since=since)
         forced = [_of_line(swings, line) for line in lines]
         return [*forced, *(rest if misfit <= _POOR_FIT else [])], fit.error
     spread = _spread(time, values[:, moving], poles)
@@ -185,22 +185,13 @@ def _ring_down(
     return [swing(*each) for each in seen], fit.error
 
 
-def _left_by(swings: Swings, lines: Sequence[Line]) -> Swings:
-    """Return signals less forced lines and their harmonics."""
-    taken = [line.frequency_hz * k for line in lines for k in (1, *line.harmonics)]
-    raw, combined = (without(each, swings.step_s, taken) for each in (swings.raw, swings.combined))
-    return replace(swings, raw=raw, combined=combined)
-
-
 def _stands(pole: complex) -> bool:
     return abs(pole.real) < LEAST_DAMPING * abs(pole)
 
 
-def _forced_at(
-    swings: Swings, since: int, band_hz: tuple[float, float], frequencies_hz: Sequence[float]
-) -> list[Line]:
+def _forced_at(swings: Swings, since: int, frequencies_hz: Sequence[float]) -> list[Line]:
     """Return the forced lines at given frequencies from a point on."""
-    lines = lines_of(swings.combined[since:], swings.step_s, band_hz) if frequencies_hz else []
+    lines = lines_of(swings.of(swings.raw[since:])) if frequencies_hz else []
     return [
         line
         for line in lines
@@ -248,13 +239,13 @@ def _with_spread(pole: complex, covariance: Array) -> Estimate:
 
 
 def _ambient(swings: Swings, band_hz: tuple[float, float]) -> list[Swing]:
-    lines = lines_of(swings.combined, swings.step_s, band_hz)
+    lines = lines_of(swings)
     stand = [line for line in lines if line.kind != MODAL]
     swings_seen = [_of_line(swings, line) for line in stand]
     taken = [line.frequency_hz * k for line in stand if line.kind == FORCED for k in (1, *line.harmonics)]
     if swings.length_s >= LEAST_AMBIENT_S:
-        rest = without(swings.combined, swings.step_s, taken)
-        for mode in ambient_modes(rest, swings.step_s, band_hz):
+        rest = without(swings, stand)
+        for mode in ambient_modes(rest.combined, swings.step_s, band_hz):
             f = mode.pole.imag / (2.0 * np.pi)
             if all(abs(f - line.frequency_hz) > line.width_hz for line in stand if line.kind == UNDECIDED):
                 swings_seen.append(_of_mode(swings, mode, taken))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
@@ -18,6 +18,7 @@ _RATE = 4.0  # samples a period of the upper end of the band
 _MOST_COMBINED = 3
 _COARSE = 0.3  # of what swings in the band: steps of the numbers above which a quantity is taken last
 _LEAST_SHARE = 0.02  # of the motion in the band: a combination with less is noise
+_LEAST_SINGULAR = 1e-5  # of the largest: less is rounding
 _LEAST_PERIODS = 2.0  # of the lower end of the band
 
 
@@ -27,7 +28,8 @@ class Swings:
 
     names, terminals : of the signals. unit : theirs. raw : (points, signals). values : without slow motion.
     combined : (points, combinations), of unit size in the band. weights : (combinations, signals), combined =
-    values weights^T.
+    values weights^T. patterns : weights, and of the combinations that are hardly more than noise. band_hz :
+    looked at.
     """
 
     names: tuple[str, ...]
@@ -38,13 +40,20 @@ class Swings:
     values: Array
     combined: Array
     weights: Array
+    patterns: Array
     step_s: float
+    band_hz: tuple[float, float]
     notes: tuple[str, ...]
 
     @property
     def length_s(self) -> float:
         """Length of the record, s."""
         return len(self.values) * self.step_s
+
+    def of(self, raw: Array) -> Swings:
+        """Return the same combinations of other values (points, signals)."""
+        values = without_slow_motion(raw, self.step_s, self.band_hz)
+        return replace(self, raw=raw, values=values, combined=values @ self.weights.T)
 
 
 def swings_of(
@@ -75,7 +84,7 @@ def swings_of(
     step_s = record.step_s
     if step_s * _RATE * high < 0.75:
         values, step_s, _ = resampled(values, step_s, _RATE * high, record.source)
-    raw, values = values, _passed(values, step_s, (0.8 * low, None))
+    raw, values = values, without_slow_motion(values, step_s, band_hz)
     inside = _passed(values, step_s, band_hz)
     size = inside.std(axis=0)
     if not size.max() > 0.0:
@@ -84,11 +93,13 @@ def swings_of(
     _, sigma, right = np.linalg.svd(inside * scale, full_matrices=False)
     share = sigma**2 / np.sum(sigma**2)
     count = int(min(_MOST_COMBINED, max(1, np.sum(share > _LEAST_SHARE))))
-    weights = right[:count] * scale / (sigma[:count, None] / np.sqrt(len(values)))
+    most = int(min(_MOST_COMBINED, np.sum(sigma > _LEAST_SINGULAR * sigma[0])))
+    patterns = right[:most] * scale / (sigma[:most, None] / np.sqrt(len(values)))
+    weights = patterns[:count]
     terminal = {c.name: c.terminal for c in record.channels}
     return Swings(
         tuple(chosen), tuple(terminal[n] for n in chosen), what, unit, raw, values, values @ weights.T,
-        weights, step_s, tuple(notes),
+        weights, patterns, step_s, band_hz, tuple(notes),
     )  # fmt: skip
 
 
@@ -157,6 +168,14 @@ def _coarse(record: Record, names: set[str], band_hz: tuple[float, float]) -> bo
         step = float(np.median(steps[steps > 1e-9 * np.ptp(values)]))
         coarse += step > _COARSE * float(_passed(record[name][:, None], record.step_s, band_hz).std())
     return coarse > len(names) / 2
+
+
+def without_slow_motion(values: Array, step_s: float, band_hz: tuple[float, float]) -> Array:
+    """Return values (points, signals) without what is slower than a band, by a filter of zero phase.
+
+    Near its ends the filter bends what swings steadily there: take lines out before (`forced.without`).
+    """
+    return _passed(values, step_s, (0.8 * band_hz[0], None))
 
 
 def _passed(values: Array, step_s: float, band_hz: tuple[float, float | None]) -> Array:

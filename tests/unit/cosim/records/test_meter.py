@@ -112,6 +112,14 @@ def test_a_line_does_not_ring_down(f: float, phase: float) -> None:
     assert result.kind == "ambient"
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_a_slow_line_is_not_bent_at_the_ends_of_a_record(seed: int) -> None:
+    """The filter that takes slow motion out bends a sine of 0.2 Hz there; the fit of the line is not."""
+    result = meter(with_sine(ambient(seed, 60.0), 0.2, 3.0))
+    assert result.swings[0].kind == "forced"
+    assert result.swings[0].frequency_hz == pytest.approx(0.2, abs=0.001)
+
+
 def test_what_stands_beside_a_ring_down_is_taken_out_of_it() -> None:
     time = 0.1 * np.arange(600)
     w, z = 2 * np.pi * F, Z
