@@ -2,7 +2,8 @@
 
 Records are those of the linear plant with noise at every rotor, by the exact discrete system; the mode meter
 names what it sees by the modes of the case, and each is compared with the damping ratio of that mode. What
-has no name, because its shape is not clear, counts for the mode next to its frequency.
+has no name, because its shape is not clear, counts for the mode next to its frequency where only one is near:
+beside two modes it may be a mixture of both, which has the damping of neither.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ STEP_S = 0.1
 NOISE_RATE = 0.3  # 1/s, of the noise at each rotor
 SETTLE_S = 60.0  # left out at the start of a record
 METHODS = (SUBSPACE, YULE_WALKER)
-NEAR = 0.05  # of a mode's frequency: a swing without a name is taken for it
+NEAR = 0.05  # of a mode's frequency: a swing without a name may be of it
 
 
 class LinearRecords:
@@ -77,7 +78,7 @@ def rows_of(case: str, seeds: int, minutes: float, dampings: tuple[float, float]
         except RecordError:
             continue
         for mode in modes:
-            for estimate in _estimates_of(mode, swings):
+            for estimate in _estimates_of(mode, every, swings):
                 low, high = estimate.damping_interval
                 off = 100.0 * (estimate.damping_ratio - mode.damping_ratio)
                 errors[mode.name, estimate.method].append((off, low <= mode.damping_ratio <= high))
@@ -90,12 +91,17 @@ def rows_of(case: str, seeds: int, minutes: float, dampings: tuple[float, float]
     return rows
 
 
-def _estimates_of(mode: Mode, swings: Sequence[Swing]) -> Sequence[Estimate]:
-    """Return what was estimated of a mode: of the swing of its name, else of one without a name beside it."""
-    near = [s for s in swings if abs(s.frequency_hz / mode.frequency_hz - 1.0) <= NEAR]
-    same = [s for s in swings if s.mode == mode.name] or [s for s in near if not s.mode]
+def _estimates_of(mode: Mode, modes: Sequence[Mode], swings: Sequence[Swing]) -> Sequence[Estimate]:
+    """Return what was estimated of a mode: of the swing of its name, else of one without a name beside it and
+    no other mode."""
+    near = [s for s in swings if not s.mode and [m for m in modes if _beside(s, m)] == [mode]]
+    same = [s for s in swings if s.mode == mode.name] or near
     nearest = min(same, key=lambda s: abs(s.frequency_hz - mode.frequency_hz), default=None)
     return () if nearest is None else nearest.estimates
+
+
+def _beside(swing: Swing, mode: Mode) -> bool:
+    return abs(swing.frequency_hz / mode.frequency_hz - 1.0) <= NEAR
 
 
 def _cell(errors: Sequence[tuple[float, bool]]) -> str:
