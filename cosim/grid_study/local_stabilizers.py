@@ -7,7 +7,7 @@ The structure is that of the stabilizer `speed` of a case file, a washout and eq
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Container, Sequence
 from dataclasses import asdict, dataclass, replace
 from math import ceil
 from pathlib import Path
@@ -19,18 +19,20 @@ import numpy as np
 from interarea.design.controllers.controller import Controller
 from interarea.design.delay.signal_conditions import Condition
 from interarea.design.modes.modes import Mode
-from interarea.design.robust.operating_points import inter_area_band, judge_family
+from interarea.design.robust.operating_points import family_row, inter_area_band
 from interarea.fmu_build.write.cache import cached_json, code_hash, content_hash
 from interarea.models.errors import InterareaError
 
 from ..designs.design_file import DesignTable, certify, design_of, judged_by
-from ..designs.family import DENSE_STATES, FamilyPlant, at_point
+from ..designs.family import FamilyPlant, at_point
 from .choices import WEAK
 from .clock import Clock
 from .faults import TIME_OVER, falls_short, judged_with_faults
 from .weak_modes import WeakModes
 
 MOST = 6  #: machines that get one
+#: machines that a target gets in its first turn, both tried: with one, its loss leaves the mode as it was
+FOR_TARGET = (1, 2)
 #: operating points of a design at which gains are chosen: the grid as it is and its worst outage
 JUDGED_POINTS = 2
 #: s; without governors a grid's speed goes on rising after a fault, which behind 10 s holds an output at its
@@ -43,6 +45,7 @@ MOST_GAIN = 50.0  #: pu per pu of speed: what field stabilizers are set to at mo
 ADDED = (0.02, 0.05, 0.1, 0.15, 0.2, 0.3)
 FACTORS = (0.5, 2.0, 0.7, 1.4)  #: on the gain of one of them at a time, after that
 STAGE = "local stabilizers"  #: of `clock.ENDS`
+_UNSTABLE = (-np.inf, -np.inf)
 
 
 @dataclass(frozen=True)
@@ -89,30 +92,38 @@ def _lead_deg(move: complex) -> float:
     return float(np.degrees(np.angle(-1.0 / move)))
 
 
-def tuned_stabilizers(weak: WeakModes) -> list[Stabilizer]:
+def tuned_stabilizers(weak: WeakModes, for_target: int = 1) -> list[Stabilizer]:
     """Return a stabilizer for each weak mode in turn, the least damped first, until `MOST` have one.
 
-    Each is at the machine, of those without one, that needs the least gain for it, and not more than
-    `MOST_GAIN` for the least that is tried.
+    for_target : machines that a target of the study gets in its first turn. Each is at the machine, of
+    those without one, that needs the least gain for it, and not more than `MOST_GAIN` for the least that
+    is tried.
     """
-    plant = weak.plant
     modes = sorted((*weak.targets, *weak.others), key=lambda m: m.damping_ratio)
     modes = [m for m in modes if m.damping_ratio < WEAK]
+    aimed = {m.name for m in weak.targets}
+    first = [m for m in modes for _ in range(for_target if m.name in aimed else 1)]
     chosen: dict[str, Stabilizer] = {}
-    for mode in (mode for _ in range(MOST) for mode in modes):
-        rows: list[Stabilizer] = []
-        for k, machine in enumerate(plant.machines):
-            if machine in chosen or f"{machine}_vs" not in plant.inputs:
-                continue
-            b = plant.Bu[:, [plant.inputs.index(f"{machine}_vs")]].toarray()[:, 0]
-            residue = complex((mode.left @ b) * mode.right[plant.speed[k]])
-            one = tuned_for(mode, machine, residue) if residue else None
-            if one is not None and one.K * ADDED[0] <= MOST_GAIN:
-                rows.append(one)
-        if rows and len(chosen) < MOST:
-            best = min(rows, key=lambda one: one.K)
+    for mode in (*first, *(mode for _ in range(MOST - 1) for mode in modes)):
+        best = _least_gain(weak, mode, chosen) if len(chosen) < MOST else None
+        if best is not None:
             chosen[best.machine] = best
     return list(chosen.values())
+
+
+def _least_gain(weak: WeakModes, mode: Mode, taken: Container[str]) -> Stabilizer | None:
+    """Return the stabilizer of a mode that needs the least gain, at a machine that is not `taken`."""
+    plant = weak.plant
+    rows: list[Stabilizer] = []
+    for k, machine in enumerate(plant.machines):
+        if machine in taken or f"{machine}_vs" not in plant.inputs:
+            continue
+        b = plant.Bu[:, [plant.inputs.index(f"{machine}_vs")]].toarray()[:, 0]
+        residue = complex((mode.left @ b) * mode.right[plant.speed[k]])
+        one = tuned_for(mode, machine, residue) if residue else None
+        if one is not None and one.K * ADDED[0] <= MOST_GAIN:
+            rows.append(one)
+    return min(rows, key=lambda one: one.K, default=None)
 
 
 def as_controller(
@@ -153,18 +164,21 @@ def local_rival(
 
     wide : the design of the wide-area loop, whose operating points, faults and wishes are taken.
     """
-    units = tuned_stabilizers(weak)
-    if not units:
+    sets = [units for n in FOR_TARGET if (units := tuned_stabilizers(weak, n))]
+    sets = [units for k, units in enumerate(sets) if units not in sets[:k]]
+    if not sets:
         return None
     name = f"{wide.name}_local"
-    table = _table(wide, units, name)
-    points = [point.model_dump(mode="json") for point in table.point]
-    key = content_hash(weak.case.hash, [asdict(one) for one in units], points, code_hash(__name__))
+    points = [point.model_dump(mode="json") for point in wide.point]
+    key = content_hash(
+        weak.case.hash, [[asdict(one) for one in units] for units in sets], points, code_hash(__name__)
+    )
 
     def tuned() -> list[dict[str, Any]]:
-        return [asdict(one) for one in _with_gains(weak, table, units, clock, cache)]
+        return [asdict(one) for one in _with_gains(weak, wide, sets, clock, cache)]
 
     stabilizers = [Stabilizer(**one) for one in cached_json(cache, "grid-local", key, tuned)]
+    table = _table(wide, stabilizers, name)
     progress(0.3)
     controller = as_controller(stabilizers, weak.case.omega_b, name, wide.limit_pu)
     judged_by_key = content_hash(
@@ -276,52 +290,59 @@ def _table(wide: DesignTable, stabilizers: Sequence[Stabilizer], name: str) -> D
 
 
 def _with_gains(
-    weak: WeakModes, table: DesignTable, units: Sequence[Stabilizer], clock: Clock, cache: Path
+    weak: WeakModes, wide: DesignTable, sets: Sequence[Sequence[Stabilizer]], clock: Clock, cache: Path
 ) -> list[Stabilizer]:
-    """Return stabilizers with the gains that damp the grid best: all together, then one by one."""
-    reached = _damping_of_gains(weak, table, units, cache)
-    gain_sets = [[min(added * one.K, MOST_GAIN) for one in units] for added in ADDED]
-    values = [reached(gains) for gains in gain_sets]
-    best, value = max(zip(gain_sets, values, strict=True), key=lambda row: row[1])
+    """Return the set with the gains that damp the grid best: all gains together, then one by one."""
+    judges = [_damping_of_gains(weak, _table(wide, units, "tried"), units, cache) for units in sets]
+    units, reached, best, value = sets[0], judges[0], [0.0] * len(sets[0]), _UNSTABLE
+    for candidates, judge, added in (
+        (*row, added) for row in zip(sets, judges, strict=True) for added in ADDED
+    ):
+        gains = [min(added * one.K, MOST_GAIN) for one in candidates]
+        if (there := judge(gains, value)) > value:
+            units, reached, best, value = candidates, judge, gains, there
     for factor, k in ((factor, k) for factor in FACTORS for k in range(len(units))):
         if clock.over(STAGE):
             clock.leave("gains of single local stabilizers")
             break
         gains = [min(factor * K, MOST_GAIN) if j == k else K for j, K in enumerate(best)]
-        there = reached(gains)
-        if there > value:
+        if (there := reached(gains, value)) > value:
             best, value = gains, there
     return [replace(one, K=K) for one, K in zip(units, best, strict=True)]
 
 
 def _damping_of_gains(
     weak: WeakModes, table: DesignTable, units: Sequence[Stabilizer], cache: Path
-) -> Callable[[Sequence[float]], tuple[float, float]]:
+) -> Callable[[Sequence[float], tuple[float, float]], tuple[float, float]]:
     """Return what gains are judged by: what they miss of what is asked, then what they damp up to `WEAK`.
 
-    Of each the worst of what is there with all of them and with each out, at the first points of `table`;
-    of a large grid with all of them, as it is.
+    Of each the worst of what is there with all of them and with each out, at the first points of `table`.
+    The second argument is a value to surpass: what cannot any more is not computed further.
     """
-    large = weak.plant.nstates > DENSE_STATES
-    points = table.point[: 1 if large else JUDGED_POINTS]
-    lost = [] if large else [Condition(f"L:{signal}", (signal,)) for signal in table.signals]
+    points = table.point[:JUDGED_POINTS]
     cases = {point.name: at_point(weak.case, point) for point in points}
     plants = {n: FamilyPlant.of(c, table.signals, table.actuators, cache) for n, c in cases.items()}
     bands = {name: inter_area_band(plant.modes) for name, plant in plants.items()}
-    judged = {name: plant.judged for name, plant in plants.items()}
+    conditions = [Condition("N"), *(Condition(f"L:{signal}", (signal,)) for signal in table.signals)]
+    order = [(name, condition) for name in plants for condition in conditions]  # the last decisive one first
     asked = (table.ask.inter_area, table.ask.worst_swing)
 
-    def reached(gains: Sequence[float]) -> tuple[float, float]:
+    def reached(gains: Sequence[float], least: tuple[float, float]) -> tuple[float, float]:
         ones = [replace(one, K=K) for one, K in zip(units, gains, strict=True)]
         K = as_controller(ones, weak.case.omega_b, "tried", 1.0).system
-        try:
-            rows = judge_family(judged, K, [Condition("N"), *lost], bands_hz=bands).rows
-        except InterareaError:  # a loop of which not all modes are known
-            return -np.inf, -np.inf
-        if not all(row.stable for row in rows):
-            return -np.inf, -np.inf
-        least = (min(row.inter_area for row in rows), min(row.worst_swing for row in rows))
-        missed = sum(min(value - wanted, 0.0) for value, wanted in zip(least, asked, strict=True))
-        return missed, sum(min(value, WEAK) for value in least)
+        value, worst = (np.inf, np.inf), (np.inf, np.inf)
+        for name, condition in list(order):
+            try:
+                row = family_row(name, plants[name].judged, K, condition, bands[name])
+            except InterareaError:  # a loop of which not all modes are known
+                return _UNSTABLE
+            worst = (min(worst[0], row.inter_area), min(worst[1], row.worst_swing))
+            missed = sum(min(there - wanted, 0.0) for there, wanted in zip(worst, asked, strict=True))
+            value = (missed, sum(min(there, WEAK) for there in worst)) if row.stable else _UNSTABLE
+            if not value > least:
+                order.remove((name, condition))
+                order.insert(0, (name, condition))
+                break
+        return value
 
     return reached

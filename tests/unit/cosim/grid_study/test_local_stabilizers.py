@@ -71,6 +71,18 @@ def test_a_machine_that_needs_too_much_phase_gets_none(weak: WeakModes) -> None:
     assert with_phase[0] * one.response(mode.eigenvalue) == pytest.approx(-abs(mode.eigenvalue), rel=1e-4)
 
 
+def test_a_target_gets_a_second_machine_before_other_modes_have_one(weak: WeakModes) -> None:
+    """As many machines for it in the first turn as stated; then each mode in turn, none twice."""
+    target = weak.weakest
+    locals_ = [m for m in weak.all_modes.modes if m.name.startswith("local")]
+    others = [replace(m, eigenvalue=complex(-0.09, 1.0) * m.eigenvalue.imag) for m in locals_]
+    modes = replace(weak, targets=(target,), others=tuple(others))
+    once, twice = tuned_stabilizers(modes, 1), tuned_stabilizers(modes, 2)
+    assert [one.mode for one in once][:2] == [target.name, others[0].name]
+    assert [one.mode for one in twice][:2] == [target.name, target.name]
+    assert len({one.machine for one in twice}) == len(twice)
+
+
 def test_gains_beyond_what_is_built_are_no_stabilizers(weak: WeakModes) -> None:
     deaf = replace(weak.weakest, left=1e-3 * weak.weakest.left)
     assert tuned_stabilizers(weak)
