@@ -63,7 +63,7 @@ def schema(kind: str) -> dict[str, Any]:
             fields["required"].remove(own)
             beside = {"source": {"type": "string"}, "defaults": {"type": "object"}}
             properties[table] = {"type": "object", "properties": beside, "additionalProperties": _loose(row)}
-        properties["change"] = {"type": "object", "description": "a variant: what differs from `base`"}
+        properties["change"] = {"type": "object", "description": "a variant: differences from `base`"}
         names = {"type": "array", "items": {"type": "string", "pattern": r"\.toml$"}}
         texts = {"type": "object", "additionalProperties": {"type": "string"}}
         properties["devices"] = {"anyOf": [names, texts]}

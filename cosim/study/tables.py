@@ -20,7 +20,7 @@ Word = Annotated[str, Field(min_length=1)]
 Designed = Literal["wdc", "cc", "ftc"]
 Wiring = Literal["synchronous", "non-synchronous"]
 Outputs = Literal["difference", "signals"]
-#: places of the report at which figures stand
+#: sections of the report that have figures
 Section = Literal[
     "system",
     "participation",
@@ -40,7 +40,7 @@ def latency_name(controller: str, wiring: str, value_s: float) -> str:
 
 
 class DesignsTable(Table):
-    """What a controller is specified by, where it is not what the study of the thesis has."""
+    """Specifications of controllers that differ from those of the study of the thesis."""
 
     wdc: WdcSpec | None = None  #: keys of the wide-area damping controller that differ
     cc: CcSpec | None = None  #: keys of the conventional controller that differ
@@ -51,123 +51,125 @@ class RedesignTable(Table):
     """The WDC designed again with a latency as a Padé model in its design plant."""
 
     latency_s: Positive  #: the latency of the model
-    on: Literal["both", "remote"]  #: on both signals (synchronous feedback), or on the remote one
+    on: Literal["both", "remote"]  #: delayed signals: both (synchronous feedback), or the remote one
     order: Annotated[int, Field(ge=1)]  #: states of the reduced controller
-    plant_order: Annotated[int, Field(ge=1)] | None = None  #: states of the reduced plant; none: the design's
+    plant_order: Annotated[int, Field(ge=1)] | None = None  #: states of the reduced plant; none: as designed
 
 
 class LatencyTable(Table):
-    """One controller under latency: the exact curve over it, and a run for each value and wiring."""
+    """One controller under latency: an exact curve, and one run for each value and wiring."""
 
-    controller: Designed  #: which
-    disturbance: Word  #: of its runs: a name under `disturbance`
-    values_s: Annotated[tuple[Positive, ...], Field(min_length=1)]  #: latencies, the curve's largest
-    redesign: tuple[RedesignTable, ...] = ()  #: designs that know the latency, a table each
+    controller: Designed  #: name of the controller
+    disturbance: Word  #: disturbance of its runs: a name under `disturbance`
+    #: latencies of the runs; the curve ends at the largest
+    values_s: Annotated[tuple[Positive, ...], Field(min_length=1)]
+    redesign: tuple[RedesignTable, ...] = ()  #: designs for a latency, one table each
 
 
 class MarginTable(Table):
     """Two runs on either side of the exact synchronous margin of a controller."""
 
-    controller: Designed  #: which: that of `latency`
+    controller: Designed  #: name of the controller: that of `latency`
     distance: Annotated[float, Field(gt=0.0, lt=1.0)]  #: of both runs from the margin, share of it
-    stop_s: Positive  #: their end
-    events: Annotated[tuple[Event, ...], Field(min_length=1)]  #: as small as no limit is reached
+    stop_s: Positive  #: end of both runs
+    events: Annotated[tuple[Event, ...], Field(min_length=1)]  #: events, so small that no limit is reached
 
 
 class BurstsTable(Table):
-    """Loss on the remote signal in bursts: a good and a bad state, one change at most a packet."""
+    """Loss on the remote signal in bursts: a good and a bad state, at most one change per packet."""
 
-    loss_good: Probability = 0.0  #: chance of losing a packet in the good state
-    loss_bad: Probability = 0.0  #: chance of losing a packet in the bad state
-    good_to_bad: Probability = 0.0  #: chance of a change to the bad state
-    bad_to_good: Probability = 0.0  #: chance of a change to the good state
+    loss_good: Probability = 0.0  #: probability of packet loss in the good state
+    loss_bad: Probability = 0.0  #: probability of packet loss in the bad state
+    good_to_bad: Probability = 0.0  #: probability per packet of a change to the bad state
+    bad_to_good: Probability = 0.0  #: probability per packet of a change to the good state
 
 
 class JitterTable(Table):
     """Random latency together with loss, by Monte Carlo on the co-simulation."""
 
     least_s: Seconds  #: the least latency
-    shape: Positive  #: of the gamma distribution on top of it
-    scale_s: Positive  #: of the same; the mean is shape times scale
-    loss_rate: Probability  #: chance of losing a packet
-    on_loss: Literal["zero", "hold"]  #: what a controller sees in place of a lost packet
-    disturbance: Word  #: of the runs: a name under `disturbance`
-    seeds: Annotated[int, Field(ge=1)]  #: runs of each controller
+    shape: Positive  #: shape of the gamma distribution of the additional latency
+    scale_s: Positive  #: scale of that distribution; its mean is shape times scale
+    loss_rate: Probability  #: probability of packet loss
+    on_loss: Literal["zero", "hold"]  #: value in place of a lost packet: zero, or the last one received
+    disturbance: Word  #: disturbance of the runs: a name under `disturbance`
+    seeds: Annotated[int, Field(ge=1)]  #: number of runs of each controller
 
 
 class PacketsTable(Table):
-    """Packets on both signals: what losses leave of the mean square, what jitter does to runs."""
+    """Packets on both signals: mean-square decay under loss, and runs with jitter."""
 
-    interval_s: Positive  #: between two packets
-    latency_s: Seconds  #: of every packet
-    loss_rates: Annotated[tuple[Probability, ...], Field(min_length=1)]  #: for which the decay is given
-    bursts: BurstsTable  #: the same share of loss in bursts
+    interval_s: Positive  #: interval between packets
+    latency_s: Seconds  #: latency of every packet
+    #: loss rates at which the decay is reported
+    loss_rates: Annotated[tuple[Probability, ...], Field(min_length=1)]
+    bursts: BurstsTable  #: loss in bursts
     jitter: JitterTable  #: random latency with loss
 
 
 class CyclesTable(Table):
-    """The clearing times that are tried, in cycles of the case's frequency."""
+    """Range of the clearing times, in cycles of the case's frequency."""
 
-    shortest: Annotated[float, Field(gt=0.0, alias="from")]  #: the shortest
-    longest: Annotated[float, Field(gt=0.0, alias="to")]  #: the longest
-    tolerance: Positive  #: of the bisection
+    shortest: Annotated[float, Field(gt=0.0, alias="from")]  #: shortest clearing time
+    longest: Annotated[float, Field(gt=0.0, alias="to")]  #: longest clearing time
+    tolerance: Positive  #: tolerance of the bisection
 
 
 class CeilingTable(Table):
     """A change to the case at every operating point, such as ceilings of the exciters."""
 
-    key: Word  #: short, for the name of the changed case
-    name: Word  #: in the table of the report
+    key: Word  #: short name, part of the name of the changed case
+    name: Word  #: name in the table of the report
     change: Mapping[str, object] = {}  #: as `change` of a case file; empty: the case as it is
 
 
 class SurvivalPointTable(Table):
-    """An operating point at which the fault is tried."""
+    """An operating point of the fault."""
 
-    name: Word  #: in the table of the report
+    name: Word  #: name in the table of the report
     tie_flow_mw: float = 0.0  #: change of the flow between the areas
     out: tuple[str, ...] = ()  #: branches out of service
 
 
 class StabilizerTable(Table):
-    """A stabilizer tried beside them: K s Tw/(1 + s Tw) ((1 + s T1)/(1 + s T2))^stages, Tw = 10 s."""
+    """A stabilizer for comparison: K s Tw/(1 + s Tw) ((1 + s T1)/(1 + s T2))^stages, Tw = 10 s."""
 
-    name: Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")]  #: in the table of the report
-    machine: Word  #: whose speed it sees and whose exciter it acts on
-    K: float  #: pu of voltage by pu of speed
-    T1: Annotated[float, Field(ge=0.0)]  #: of the numerator, s
-    T2: Positive  #: of the denominator, s
-    stages: Annotated[int, Field(ge=0)]  #: how many lead-lags
-    limit_pu: Positive  #: of its output
+    name: Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")]  #: name in the table of the report
+    machine: Word  #: machine of its speed signal and of its exciter
+    K: float  #: gain, pu of voltage per pu of speed
+    T1: Annotated[float, Field(ge=0.0)]  #: time constant of the numerator, s
+    T2: Positive  #: time constant of the denominator, s
+    stages: Annotated[int, Field(ge=0)]  #: number of lead-lags
+    limit_pu: Positive  #: limit of its output
 
 
 class SurvivalTable(Table):
-    """What the controllers do not survive: a fault at every operating point, its clearing time bisected."""
+    """Transient stability: a fault at every operating point, its critical clearing time by bisection."""
 
-    disturbance: Word  #: a name under `disturbance`, with a bus fault in it
-    lost_at_s: Seconds  #: when a signal is lost, in the runs that lose one
-    watch_s: Positive  #: how long a run is watched after the fault; longer where its linear loop is slow
-    cycles: CyclesTable  #: the clearing times that are tried
+    disturbance: Word  #: a name under `disturbance` that has a bus fault
+    lost_at_s: Seconds  #: time of the loss, in the runs that lose a signal
+    watch_s: Positive  #: simulated time after the fault; longer if the linear loop is slow
+    cycles: CyclesTable  #: range of the clearing times
     controllers: Annotated[tuple[Word, ...], Field(min_length=1)]  #: wdc, cc, ftc or any bundled one
-    stabilizer: tuple[StabilizerTable, ...] = ()  #: plain stabilizers tried beside them, a table each
-    ceiling: Annotated[tuple[CeilingTable, ...], Field(min_length=1)]  #: changes to the case, a table each
-    point: Annotated[tuple[SurvivalPointTable, ...], Field(min_length=1)]  #: operating points, a table each
+    stabilizer: tuple[StabilizerTable, ...] = ()  #: local stabilizers for comparison, one table each
+    ceiling: Annotated[tuple[CeilingTable, ...], Field(min_length=1)]  #: changes to the case, one table each
+    point: Annotated[tuple[SurvivalPointTable, ...], Field(min_length=1)]  #: operating points, one table each
 
 
 class RunTable(Table):
     """A co-simulation of the study."""
 
-    name: Word  #: by which figures and statements name it
-    title: Word  #: in the report
+    name: Word  #: name of the run in figures and statements
+    title: Word  #: title in the report
     controller: Word  #: none, wdc, cc, ftc or any bundled one
     disturbance: Word  #: a name under `disturbance`
-    lost_at_s: Seconds | None = None  #: when the remote signal is lost for good; none: never
+    lost_at_s: Seconds | None = None  #: time of the permanent loss of the remote signal; none: no loss
 
 
 class _Figure(Table):
-    key: Word  #: short and unique: name of the file
-    section: Section  #: where in the report it stands
-    title: Word  #: above it
+    key: Word  #: short unique name, also that of the file
+    section: Section  #: section of the report
+    title: Word  #: title of the figure
 
 
 class OneLineFigure(_Figure):
@@ -177,14 +179,14 @@ class OneLineFigure(_Figure):
 
 
 class ParticipationFigure(_Figure):
-    """Participation factors of a mode; left out where the case has no mode of that name."""
+    """Participation factors of a mode; omitted if the case has no mode of that name."""
 
     kind: Literal["participation"]
     mode: Word  #: name of the mode, such as `inter-area`
 
 
 class ModeShapeFigure(_Figure):
-    """The shape of a mode; left out where the case has no mode of that name."""
+    """The shape of a mode; omitted if the case has no mode of that name."""
 
     kind: Literal["mode_shape"]
     mode: Word  #: name of the mode, such as `inter-area`
@@ -194,7 +196,7 @@ class SingularValuesFigure(_Figure):
     """Singular values of the full and of a reduced plant."""
 
     kind: Literal["singular_values"]
-    reduction: Word  #: which: a key of `reduction`
+    reduction: Word  #: a key of `reduction`
 
 
 class HankelFigure(_Figure):
@@ -213,43 +215,43 @@ class BodeFigure(_Figure):
     """A controller as designed and as shipped, over frequency."""
 
     kind: Literal["bode"]
-    controller: Designed  #: which
+    controller: Designed  #: name of the controller
 
 
 class SensitivityFigure(_Figure):
-    """S or KS of the loop of the controller `sensitivity`, and what its weight would ask for."""
+    """S or KS of the loop of the controller `sensitivity`, and the bound by its weight."""
 
     kind: Literal["sensitivity"]
-    function: Literal["S", "KS"]  #: which
+    function: Literal["S", "KS"]  #: function to draw
 
 
 class SwingFigure(_Figure):
-    """The difference of the speeds, remote less local, of some runs."""
+    """The speed difference, remote minus local, in selected runs."""
 
     kind: Literal["swing"]
-    runs: Mapping[str, Word]  #: words of the legend -> name of the run
-    marks: Mapping[str, Seconds] = {}  #: words -> instant at which a line stands
+    runs: Mapping[str, Word]  #: text of the legend -> name of the run
+    marks: Mapping[str, Seconds] = {}  #: text -> time of a vertical line
     span_s: tuple[Seconds, Seconds] | None = None  #: part of the run that is shown; none: all
-    micro: bool = False  #: whether the axis is in millionths, for small swings
+    micro: bool = False  #: true: axis in millionths, for small signals
 
 
 class ControlFigure(_Figure):
-    """The controller's output of some runs."""
+    """The controller's output in selected runs."""
 
     kind: Literal["control"]
-    runs: Mapping[str, Word]  #: words of the legend -> name of the run
+    runs: Mapping[str, Word]  #: text of the legend -> name of the run
 
 
 class LatenciesFigure(_Figure):
-    """The runs over latency of one wiring, a panel each."""
+    """The runs over latency with one wiring, one panel each."""
 
     kind: Literal["latencies"]
-    wiring: Wiring  #: both signals late, or the remote one
+    wiring: Wiring  #: synchronous: both signals late; non-synchronous: the remote one
     reference: Word  #: the run without latency
 
 
 class LatencyDampingFigure(_Figure):
-    """Damping against latency: exact, and measured in the runs."""
+    """Damping over latency: exact, and fitted to the runs."""
 
     kind: Literal["latency_damping"]
 
@@ -274,27 +276,27 @@ Figure = Annotated[
 class StudyTable(Table):
     """A study: one case, its controllers by the methods of the thesis, what is run, drawn and judged."""
 
-    title: Word  #: of the report
-    case: Word  #: bundled name, or a case file beside this one
-    published: str  #: where what is compared with is printed: key of a source, place
+    title: Word  #: title of the report
+    case: Word  #: bundled name, or a case file relative to this one
+    published: str  #: the publication to compare with: key of a source, place
     stop_s: Positive  #: end of the runs
     step_s: Positive  #: communication step of the runs
-    remote: Word  #: the signal that comes from afar
+    remote: Word  #: the remote signal
     local: Word  #: the signal measured at the actuator
-    swing: Word  #: name of the difference remote less local
-    controllers: Annotated[tuple[Designed, ...], Field(min_length=1)]  #: that are designed
-    sensitivity: Designed  #: the controller whose S, KS and weighted norms are given
-    claims: str | None = None  #: file of what is printed, beside this one; none: nothing is judged
-    design: DesignsTable = DesignsTable()  #: what differs from the specifications of the thesis
+    swing: Word  #: name of the difference remote minus local
+    controllers: Annotated[tuple[Designed, ...], Field(min_length=1)]  #: controllers to design
+    sensitivity: Designed  #: controller whose S, KS and weighted norms are reported
+    claims: str | None = None  #: file of printed claims, relative to this one; none: no verdicts
+    design: DesignsTable = DesignsTable()  #: differences from the specifications of the thesis
     #: order of a reduced plant -> its outputs: their `difference`, or both `signals`
     reduction: Mapping[str, Outputs]
     disturbance: Mapping[str, tuple[Event, ...]]  #: name -> events, as in a scenario
     latency: LatencyTable  #: a controller under latency
     margin: MarginTable  #: runs on either side of the latency margin
-    packets: PacketsTable | None = None  #: loss and jitter; none: left out
-    survival: SurvivalTable | None = None  #: faults at every operating point; none: left out
-    scenario: Annotated[tuple[RunTable, ...], Field(min_length=1)]  #: what is run, a table each
-    figure: tuple[Figure, ...] = ()  #: what is drawn, a table each
+    packets: PacketsTable | None = None  #: loss and jitter; none: omitted
+    survival: SurvivalTable | None = None  #: faults at every operating point; none: omitted
+    scenario: Annotated[tuple[RunTable, ...], Field(min_length=1)]  #: runs, one table each
+    figure: tuple[Figure, ...] = ()  #: figures, one table each
     diagram: Mapping[str, tuple[float, float]] = {}  #: bus number -> [x, y] in the one-line diagram
 
     @property
@@ -430,5 +432,5 @@ class ClaimsTable(Table):
     where: str = ""  #: the part that is looked at
     modes: tuple[PrintedModeTable, ...] = ()  #: the table of modes, a row each
     loops: tuple[PrintedLoopTable, ...] = ()  #: the table of loops, a row each
-    statement: tuple[StatementTable, ...] = ()  #: statements, a table each
-    correction: tuple[CorrectionTable, ...] = ()  #: where the text does not hold, a table each
+    statement: tuple[StatementTable, ...] = ()  #: statements, one table each
+    correction: tuple[CorrectionTable, ...] = ()  #: where the text does not hold, one table each

@@ -36,7 +36,7 @@ from .reduced_order import (
     reduction_price,
 )
 
-#: by how much reducing its order may raise a controller's norm and its effort on the full plant
+#: largest factor on a controller's norm and effort on the full plant due to its order reduction
 PRICE_CAP = 2.5
 
 
@@ -49,24 +49,24 @@ class WdcSpec:
     and loses 0.17 s of delay margin, because a faster controller mode then crosses first.
     """
 
-    actuator: str = "G4_vs"  #: input of the plant that is driven
-    remote: str = "G2_dw"  #: the signal that comes from afar
+    actuator: str = "G4_vs"  #: controlled input of the plant
+    remote: str = "G2_dw"  #: the remote signal
     local: str = "G4_dw"  #: the signal measured at the actuator
-    plant_order: int = 6  #: states of the reduced plant that the design sees
-    order: int = 4  #: states of the controller once it is reduced
-    damping_ratio: float = 0.28  #: least damping of the poles that the LMIs place
-    decay_rate: float | None = None  #: slowest decay of those poles, 1/s; none: not asked
-    radius: float | None = 300.0  #: largest magnitude of those poles, rad/s; none: not asked
+    plant_order: int = 6  #: states of the reduced plant of the design
+    order: int = 4  #: states of the reduced controller
+    damping_ratio: float = 0.28  #: least damping ratio of the poles, as LMI constraint
+    decay_rate: float | None = None  #: least decay rate of those poles, 1/s; none: no constraint
+    radius: float | None = 300.0  #: largest magnitude of those poles, rad/s; none: no constraint
     low_pass: float = 30.0  #: W1 = low_pass / (s + low_pass), rad/s
     high_pass: tuple[float, float] = (10.0, 100.0)  #: W2 = gain s / (s + corner), corner in rad/s
     gamma_cap: float = 10.0  #: bound of the weighted norm
-    trace_weight: float = 1e-3  #: weight of the traces that keep the LMIs well conditioned
+    trace_weight: float = 1e-3  #: weight of the traces, which condition the LMIs
     limit_pu: float = 0.15  #: bound of the magnitude of the output
-    price_cap: float = PRICE_CAP  #: by how much reducing the order may raise norm and effort
-    latency_s: float = 0.0  #: latency that the design plant has, as a Padé model
-    #: which signals have it: both (synchronous feedback), or the remote one
+    price_cap: float = PRICE_CAP  #: largest factor on norm and effort due to the order reduction
+    latency_s: float = 0.0  #: latency of the design plant, as a Padé model
+    #: delayed signals: both (synchronous feedback), or the remote one
     latency_on: Literal["both", "remote"] = "both"
-    pade_order: int = 2  #: order of that model; the study's
+    pade_order: int = 2  #: order of that model
 
     def weights(self) -> tuple[control.StateSpace, control.StateSpace]:
         """Return W1 and W2. [Sundaria2016], section 5.1.5"""
@@ -79,48 +79,48 @@ class WdcSpec:
 
 @dataclass(frozen=True)
 class CcSpec:
-    """Conventional control: least effort with a pole region, designed with every signal there.
+    """Conventional control: least effort with a pole region, designed for all signals available.
 
     For the fair comparison with a fault-tolerant controller see `design_cc_like`.
     """
 
-    actuator: str = "G4_vs"  #: input of the plant that is driven
-    remote: str = "G2_dw"  #: the signal that comes from afar
+    actuator: str = "G4_vs"  #: controlled input of the plant
+    remote: str = "G2_dw"  #: the remote signal
     local: str = "G4_dw"  #: the signal measured at the actuator
-    plant_order: int = 8  #: states of the reduced plant that the design sees
-    order: int = 8  #: states of the controller once it is reduced
-    damping_ratio: float = 0.36  #: least damping of the poles that the LMIs place
-    decay_rate: float | None = None  #: slowest decay of those poles, 1/s; none: not asked
-    radius: float | None = 300.0  #: largest magnitude of those poles, rad/s; none: not asked
-    effort_cap: float | None = None  #: largest acceptable effort, pu per rad/s; none: any
-    trace_weight: float = 1e-3  #: weight of the traces that keep the LMIs well conditioned
+    plant_order: int = 8  #: states of the reduced plant of the design
+    order: int = 8  #: states of the reduced controller
+    damping_ratio: float = 0.36  #: least damping ratio of the poles, as LMI constraint
+    decay_rate: float | None = None  #: least decay rate of those poles, 1/s; none: no constraint
+    radius: float | None = 300.0  #: largest magnitude of those poles, rad/s; none: no constraint
+    effort_cap: float | None = None  #: largest effort, pu per rad/s; none: no limit
+    trace_weight: float = 1e-3  #: weight of the traces, which condition the LMIs
     limit_pu: float = 0.15  #: bound of the magnitude of the output
-    price_cap: float = PRICE_CAP  #: by how much reducing the order may raise norm and effort
+    price_cap: float = PRICE_CAP  #: largest factor on norm and effort due to the order reduction
 
 
 @dataclass(frozen=True)
 class FtcSpec:
     """Passive fault-tolerant control with a damping target for each loss pattern.
 
-    Equal targets make the controller purely local; the higher target with every signal
-    there makes it use the remote one.
+    Equal targets make the controller purely local; the higher target with all signals
+    available makes it use the remote one.
     """
 
-    actuator: str = "G4_vs"  #: input of the plant that is driven
+    actuator: str = "G4_vs"  #: controlled input of the plant
     signals: tuple[str, ...] = ("G2_dw", "G4_dw")  #: the signals, the remote one first
-    #: least damping for each pattern of loss, `normal` and those of `loss_of`
+    #: least damping ratio for each pattern of loss, `normal` and those of `loss_of`
     damping_ratio_of: Mapping[str, float] = field(
         default_factory=lambda: {"normal": 0.36, "remote_lost": 0.30}
     )
-    #: pattern of loss -> the signals that are lost in it
+    #: pattern of loss -> lost signals
     loss_of: Mapping[str, tuple[str, ...]] = field(default_factory=lambda: {"remote_lost": ("G2_dw",)})
-    plant_order: int = 8  #: states of the reduced plant that the design sees
-    order: int = 5  #: states of the controller once it is reduced
-    decay_rate: float | None = None  #: slowest decay of those poles, 1/s; none: not asked
+    plant_order: int = 8  #: states of the reduced plant of the design
+    order: int = 5  #: states of the reduced controller
+    decay_rate: float | None = None  #: least decay rate of those poles, 1/s; none: no constraint
     radius: float = 100.0  #: largest magnitude of those poles, rad/s
-    effort_cap: float | None = None  #: largest acceptable effort, pu per rad/s; none: any
+    effort_cap: float | None = None  #: largest effort, pu per rad/s; none: no limit
     limit_pu: float = 0.15  #: bound of the magnitude of the output
-    price_cap: float = PRICE_CAP  #: by how much reducing the order may raise norm and effort
+    price_cap: float = PRICE_CAP  #: largest factor on norm and effort due to the order reduction
 
 
 StudySpec: TypeAlias = WdcSpec | CcSpec | FtcSpec

@@ -25,7 +25,7 @@ class Row(Table):
 
     model_config = ConfigDict(populate_by_name=True)
 
-    source: str = ""  #: "KEY, where" when it differs from the source of the whole table
+    source: str = ""  #: "KEY, place" if it differs from the source of the table
 
 
 class Control(Row):
@@ -33,7 +33,7 @@ class Control(Row):
 
     model_config = ConfigDict(extra="allow")
 
-    kind: str  #: which device: a file of `models/devices`, or one of `devices` of the case
+    kind: str  #: name of a file of `models/devices`, or of one of `devices` of the case
 
     @property
     def parameters(self) -> dict[str, Any]:

@@ -22,41 +22,42 @@ class Hvdc(DcLink):
     """
 
     name: Annotated[str, Field(strict=True, max_length=64, pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]  #: its id
-    rectifier_bus: BusNumber  #: number of the bus where it takes power
-    inverter_bus: BusNumber  #: number of the bus where it gives it
+    rectifier_bus: BusNumber  #: number of the bus of the rectifier
+    inverter_bus: BusNumber  #: number of the bus of the inverter
     base_mva: Positive  #: rated power, base of its per-unit values with `vdc_kv`
     vdc_kv: Positive  #: rated dc voltage
-    idc_ka: Positive | None = None  #: current at rest, which its control then keeps; None: `P_mw`
-    P_mw: Positive | None = None  #: dc power of the rectifier at rest, which its control then keeps
-    gamma_deg: Angle  #: extinction angle of the inverter at rest
+    idc_ka: Positive | None = None  #: current of the equilibrium and of its control; None: `P_mw`
+    P_mw: Positive | None = None  #: dc power of the rectifier at the equilibrium and of its control
+    gamma_deg: Angle  #: extinction angle of the inverter at the equilibrium
     bridges: Annotated[int, Field(strict=True, ge=1)] = 2  #: six-pulse bridges in series, at each end
-    rectifier_kv: Positive  #: line voltage at the valves of a bridge where the bus has 1 pu, taps included
-    inverter_kv: Positive  #: the same of the inverter
+    rectifier_kv: Positive  #: valve-side line voltage of a bridge at 1 pu bus voltage, taps included
+    inverter_kv: Positive  #: the same for the inverter
     rectifier_xc_ohm: NonNegative  #: commutation reactance of a bridge
-    inverter_xc_ohm: NonNegative  #: the same of the inverter
+    inverter_xc_ohm: NonNegative  #: the same for the inverter
     r_ohm: NonNegative  #: resistance of the line
     l_mh: Positive  #: inductance of the line and of both smoothing reactors
     alpha_min_deg: Angle = 5.0  #: least delay angle of the rectifier
-    alpha_max_deg: Angle = 85.0  #: largest
+    alpha_max_deg: Angle = 85.0  #: largest delay angle of the rectifier
     gamma_min_deg: Angle = 15.0  #: least extinction angle of the inverter
-    gamma_max_deg: Angle = 85.0  #: largest
-    rectifier_gain: NonNegative = 0.5  #: of the delay angle, rad by pu of current
-    rectifier_integral: Positive = 5.0  #: of it, rad/s by pu of current
-    inverter_gain: Annotated[float, Field(strict=True, ge=0.0, le=1.0)] = 0.1  #: rad by pu of dc voltage
-    inverter_integral: Positive = 1.0  #: of it, rad/s by pu of dc voltage
-    margin: Annotated[float, Field(strict=True, gt=0.0, lt=1.0)] = 0.1  #: of the order: room of the current
-    margin_gain: NonNegative = 5.0  #: of the current beyond, by that of the voltage
+    gamma_max_deg: Angle = 85.0  #: largest extinction angle of the inverter
+    rectifier_gain: NonNegative = 0.5  #: proportional gain of the current control, rad per pu of current
+    rectifier_integral: Positive = 5.0  #: its integral gain, rad/s per pu of current
+    #: proportional gain of the inverter, rad per pu of dc voltage
+    inverter_gain: Annotated[float, Field(strict=True, ge=0.0, le=1.0)] = 0.1
+    inverter_integral: Positive = 1.0  #: its integral gain, rad/s per pu of dc voltage
+    margin: Annotated[float, Field(strict=True, gt=0.0, lt=1.0)] = 0.1  #: current margin, share of the order
+    margin_gain: NonNegative = 5.0  #: gain of a current below order less margin, relative to the voltage gain
     i_min_pu: NonNegative = 0.1  #: least current order
-    i_max_pu: Positive = 1.2  #: largest
-    p_mod_pu: NonNegative = 0.1  #: largest modulation, either sign
-    v_min_pu: Positive = 0.5  #: least dc voltage by which a power is divided
-    t_voltage_s: NonNegative = 0.02  #: measurement of the dc voltage
+    i_max_pu: Positive = 1.2  #: largest current order
+    p_mod_pu: NonNegative = 0.1  #: largest modulation of the power, either sign
+    v_min_pu: Positive = 0.5  #: least dc voltage that divides a power order
+    t_voltage_s: NonNegative = 0.02  #: time constant of the dc voltage measurement
     t_order_s: Positive = 0.02  #: time constant of the current order
 
     vdcol_i_pu: Positive | None = None  #: largest current order at low dc voltage; None: no such limit
-    vdcol_low_pu: NonNegative = 0.3  #: dc voltage of the rectifier at and below which that holds
-    vdcol_high_pu: Positive = 0.8  #: from which on `i_max_pu` alone limits; between them a straight line
-    t_vdcol_s: NonNegative = 0.05  #: measurement of that voltage
+    vdcol_low_pu: NonNegative = 0.3  #: dc voltage of the rectifier up to which that limit applies
+    vdcol_high_pu: Positive = 0.8  #: dc voltage above which `i_max_pu` applies; linear between both
+    t_vdcol_s: NonNegative = 0.05  #: time constant of the measurement of that voltage
 
     @model_validator(mode="after")
     def _one_order(self) -> Self:

@@ -43,12 +43,12 @@ class Bus(Row):
 
     number: BusNumber  #: its id
     name: str = ""  #: free text
-    area: Annotated[int, Field(strict=True, ge=1)] = 1  #: for names of modes and for ties
+    area: Annotated[int, Field(strict=True, ge=1)] = 1  #: used in names of modes and for ties
     kv: Positive | None = None  #: nominal voltage, kV (information only: everything is per unit)
-    V_pu: Positive | None = None  #: where the power flow starts; None: flat
-    angle_deg: Number | None = None  #: likewise
-    latitude_deg: Annotated[float, Field(ge=-90.0, le=90.0)] | None = None  #: place on a map
-    longitude_deg: Annotated[float, Field(ge=-180.0, le=180.0)] | None = None  #: place on a map
+    V_pu: Positive | None = None  #: start value of the power flow; None: flat start
+    angle_deg: Number | None = None  #: start value of the power flow; None: flat start
+    latitude_deg: Annotated[float, Field(ge=-90.0, le=90.0)] | None = None  #: position on a map
+    longitude_deg: Annotated[float, Field(ge=-180.0, le=180.0)] | None = None  #: position on a map
 
 
 class Branch(Row):
@@ -59,12 +59,13 @@ class Branch(Row):
     """
 
     name: Name  #: its id
-    kind: Literal["line", "transformer"] = "line"  #: transformers have tap and shift at the `from` side
+    kind: Literal["line", "transformer"] = "line"  #: a transformer has its tap and shift at the `from` side
     from_bus: BusNumber = Field(alias="from")  #: number of the bus at one end
     to_bus: BusNumber = Field(alias="to")  #: number of the bus at the other end
     r: Number = 0.0  #: series resistance, pu of the system base
-    x: Number  #: below 0 for a series capacitor or a winding of a star; r + jx is not 0
-    b: Number = 0.0  #: total charging
+    #: series reactance, pu of the system base; below 0: series capacitor, winding of a star; r + jx not 0
+    x: Number
+    b: Number = 0.0  #: total line charging susceptance, pu of the system base
     tap: Positive = 1.0  #: off-nominal turns ratio at the `from` side
     shift_deg: Number = 0.0  #: phase shift of a transformer
     in_service: Switch = True  #: false: out at the start; can be reclosed
@@ -80,7 +81,7 @@ class Branch(Row):
 
 
 class Shunt(Row):
-    """A constant admittance to ground, given by what it takes and gives at 1 pu voltage."""
+    """A constant admittance to ground, given by its active and reactive power at 1 pu voltage."""
 
     name: Name  #: its id
     bus: BusNumber  #: number of its bus
@@ -99,15 +100,15 @@ class Load(Row):
 
     name: Name  #: its id
     bus: BusNumber  #: number of its bus
-    P_mw: Number  #: at the power flow's voltage
-    Q_mvar: Number  #: at the power flow's voltage
-    P_exponent: Exponent = 2.0  #: P follows V to this power; 2: constant impedance, 0: constant power
-    Q_exponent: Exponent = 2.0  #: Q follows V to this power
-    #: shares of constant impedance, current and power instead of the exponent
+    P_mw: Number  #: active power at the voltage of the power flow
+    Q_mvar: Number  #: reactive power at the voltage of the power flow
+    P_exponent: Exponent = 2.0  #: exponent of V in P; 2: constant impedance, 0: constant power
+    Q_exponent: Exponent = 2.0  #: exponent of V in Q
+    #: shares of constant impedance, current and power in P, in place of `P_exponent`
     P_zip: tuple[Number, Number, Number] | None = None
-    #: shares of constant impedance, current and power instead of the exponent
+    #: shares of constant impedance, current and power in Q, in place of `Q_exponent`
     Q_zip: tuple[Number, Number, Number] | None = None
-    in_service: Switch = True  #: false: not there
+    in_service: Switch = True  #: false: disconnected
 
     @model_validator(mode="after")
     def _one_characteristic(self) -> Self:
@@ -144,20 +145,20 @@ class Saturation(Row):
     """Exponential saturation: psi_I = Asat exp(Bsat (psi_at - psiT1)) of the air-gap flux psi_at.
 
     `use`: "none" ignores it, "total" applies K_s = psi_at / (psi_at + psi_I) everywhere, "incremental"
-    does so for the operating point and goes on from there with Kundur's incremental factor, a straight
-    line: the choice for eigenvalues as in his book; for large disturbances take "total". The jump to
-    psi_I = 0 below psiT1 is left out: there psi_I is small and goes on falling.
+    does so at the operating point and uses Kundur's incremental factor, a straight line, for deviations:
+    use it for eigenvalues as in his book, and "total" for large disturbances. The jump to psi_I = 0
+    below psiT1 is omitted: there psi_I is small and continues to fall.
     """
 
     Asat: Positive  #: factor A of A exp(B (flux - psiT1))
     Bsat: Positive  #: exponent B
-    psiT1: NonNegative  #: flux, pu, below which nothing saturates
-    #: total, or the book's linearisation for small swings
+    psiT1: NonNegative  #: flux below which there is no saturation, pu
+    #: total, or incremental: linearisation of the book for small signals
     use: Literal["none", "total", "incremental"] = "total"
 
 
 class FluxSaturation(Row):
-    """Saturation of PSS/E's machines: a factor S of a flux that is a state, S10 at 1.0 and S12 at 1.2 pu.
+    """Saturation as in PSS/E: factor S as a function of a flux state, S10 at 1.0 pu and S12 at 1.2 pu.
 
     quadratic: ``E S(E) = B (E - A)^2`` above A (GENROU, GENSAL); exponential: ``S = S10 E^x`` (the others).
     It acts on the d axis, with `axes` = both also on the q axis in the ratio (Xq - Xl)/(Xd - Xl).
@@ -165,11 +166,11 @@ class FluxSaturation(Row):
 
     S10: Positive  #: saturation at 1.0 pu
     S12: Positive  #: saturation at 1.2 pu
-    #: the curve through both points: GENROU is quadratic, GENROE exponential
+    #: curve through both points: quadratic in GENROU, exponential in GENROE
     shape: Literal["quadratic", "exponential"] = "quadratic"
-    #: which flux saturates: GENROU and GENSAL differ
+    #: flux that determines saturation: GENROU and GENSAL differ
     of: Literal["subtransient_flux", "transient_emf"] = "subtransient_flux"
-    axes: Literal["both", "d"] = "both"  #: both axes, or d alone
+    axes: Literal["both", "d"] = "both"  #: axes that saturate: both, or d only
 
     @model_validator(mode="after")
     def _rising(self) -> Self:
@@ -202,7 +203,7 @@ NEEDED: dict[str, tuple[str, ...]] = {
 
 
 class Machine(Row):
-    """A synchronous machine, its dispatch and its controls; per unit on `base_mva` of its own.
+    """A synchronous machine, its dispatch and its controls; per unit on its own `base_mva`.
 
     round_rotor: sixth order, needs Xd, Xq, Xl, Xd1, Xq1, Xd2, Xq2, Td01, Tq01, Td02, Tq02 with
     Xd > Xd1 >= Xd2 > 0, Xq >= Xq1 >= Xq2 > 0, Xd1 > Xl and Xq1 > Xl. Without Tq01 it has one winding on the
@@ -217,36 +218,38 @@ class Machine(Row):
 
     name: Annotated[str, Field(strict=True, max_length=64, pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]  #: its id
     bus: BusNumber  #: number of its bus
-    area: Annotated[int, Field(strict=True, ge=1)] = 1  #: for names of modes
+    area: Annotated[int, Field(strict=True, ge=1)] = 1  #: used in names of modes
     base_mva: Positive  #: base of its per-unit values
-    #: how many windings it has; infinite_bus: constant voltage and frequency
+    #: order of the model; infinite_bus: constant voltage and frequency; power_flow: no dynamics
     model: Literal["round_rotor", "classical", "infinite_bus", "power_flow"] = "round_rotor"
-    H: Positive | None = None  #: s
-    D: Number = 0.0  #: pu torque per pu speed; below 0 it feeds a swing (a textbook's K_D = -10)
+    H: Positive | None = None  #: inertia constant, s
+    D: Number = 0.0  #: damping torque, pu per pu of speed; below 0: destabilising (a textbook's K_D = -10)
     Ra: NonNegative = 0.0  #: armature resistance, pu of the machine's base
-    Xd1: Positive | None = None  #: X'd, pu
+    Xd1: Positive | None = None  #: transient reactance X'd, pu
     Xd: Positive | None = None  #: synchronous reactance, d axis, pu of the machine's base
     Xq: Positive | None = None  #: synchronous reactance, q axis, pu
     Xl: NonNegative | None = None  #: leakage reactance, pu
-    Xq1: Positive | None = None  #: X'q, pu
-    Xd2: Positive | None = None  #: X''d, pu
-    Xq2: Positive | None = None  #: X''q, pu
-    Td01: Positive | None = None  #: T'd0, s
-    Tq01: Positive | None = None  #: T'q0, s; none: one winding on the q axis
-    Td02: Positive | None = None  #: T''d0, s
-    Tq02: Positive | None = None  #: T''q0, s
+    Xq1: Positive | None = None  #: transient reactance X'q, pu
+    Xd2: Positive | None = None  #: subtransient reactance X''d, pu
+    Xq2: Positive | None = None  #: subtransient reactance X''q, pu
+    Td01: Positive | None = None  #: transient open-circuit time constant T'd0, s
+    #: transient open-circuit time constant T'q0, s; none: one winding on the q axis
+    Tq01: Positive | None = None
+    Td02: Positive | None = None  #: subtransient open-circuit time constant T''d0, s
+    Tq02: Positive | None = None  #: subtransient open-circuit time constant T''q0, s
     saturation: Saturation | None = None  #: as in Kundur's book, exponential in the air-gap flux
-    flux_saturation: FluxSaturation | None = None  #: as PSS/E has it (GENROU, GENSAL, ...)
-    torque_by_speed: Switch = False  #: 2H d slip/dt = (Pm - D slip)/(1 + slip) - Te, as PSS/E; else over 1
-    P_mw: Number  #: dispatch; the slack machine's is a start value only
-    Q_mvar: Number | None = None  #: its part of the Q at its bus; what is left is shared by rating
+    flux_saturation: FluxSaturation | None = None  #: as in PSS/E (GENROU, GENSAL, ...)
+    #: true: 2H d slip/dt = (Pm - D slip)/(1 + slip) - Te, as PSS/E; false: without the division by 1 + slip
+    torque_by_speed: Switch = False
+    P_mw: Number  #: dispatch; only a start value at the slack machine
+    Q_mvar: Number | None = None  #: its share of Q at its bus; the rest is shared by rating
     V_pu: Positive  #: voltage that the power flow holds at its bus
-    slack: Switch = False  #: takes what the power flow needs
-    angle_deg: Number = 0.0  #: bus angle, slack only
+    slack: Switch = False  #: true: the slack machine of the power flow
+    angle_deg: Number = 0.0  #: bus angle, slack machine only
     exciter: Exciter = Control(kind="constant")  #: device and its values; default: constant field voltage
     stabilizer: Stabilizer | None = None  #: device and its values; default: none
-    compensator: Compensator | None = None  #: what the exciter regulates instead of the terminal voltage
-    limiter: Limiter | None = None  #: of the excitation: what lowers its reference; default: none
+    compensator: Compensator | None = None  #: voltage that the exciter regulates; default: terminal voltage
+    limiter: Limiter | None = None  #: excitation limiter, which changes its reference; default: none
     governor: Governor = Control(kind="none")  #: device and its values; default: constant mechanical power
 
     @model_validator(mode="after")
@@ -319,7 +322,7 @@ class Machine(Row):
 
 
 class Svc(Row):
-    """A static var compensator or STATCOM: reactive power at a bus that its control moves.
+    """A static var compensator or STATCOM: reactive power at a bus, set by its control.
 
     In the power flow it holds `V_pu` at its bus or gives `Q_mvar`; P is 0. The control rests at what that
     gives: a susceptance (kind svc) or a current (statcom), per unit on `base_mva`, capacitive above 0.
@@ -327,10 +330,10 @@ class Svc(Row):
 
     name: Annotated[str, Field(strict=True, max_length=64, pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]  #: its id
     bus: BusNumber  #: number of its bus
-    regulates: BusNumber | None = None  #: number of the bus whose voltage it sees; None: its own
+    regulates: BusNumber | None = None  #: number of the bus whose voltage it regulates; None: its own
     base_mva: Positive  #: base of its per-unit values
-    V_pu: Positive | None = None  #: voltage that the power flow holds at its bus; None: it gives `Q_mvar`
-    Q_mvar: Number = 0.0  #: into the network, where no `V_pu` is given
+    V_pu: Positive | None = None  #: voltage that the power flow holds at its bus; None: `Q_mvar`
+    Q_mvar: Number = 0.0  #: reactive power into the network without `V_pu`
     control: BusControl  #: device and its values
 
     @model_validator(mode="after")
@@ -354,17 +357,17 @@ LEFT_OF_LINE = 0.2  #: of a line's reactance that a series capacitor leaves at l
 
 
 class Tcsc(Row):
-    """A thyristor controlled series capacitor: a reactance in a line that a lag moves between limits.
+    """A thyristor controlled series capacitor: a series reactance, set by a lag within limits.
 
     ``x = lag(x0_pu + tcsc1_x_mod, T_s)``, kept within `x_min_pu` and `x_max_pu`; the line has x less of its
     own reactance, in the power flow `x0_pu`. Bypassed (`device_trip`) x is 0.
     """
 
     name: Annotated[str, Field(strict=True, max_length=64, pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]  #: its id
-    branch: Name  #: the line that it stands in
-    x0_pu: Number  #: capacitive reactance at rest, system base
-    x_min_pu: Number = 0.0  #: least; below 0 it is inductive
-    x_max_pu: Number  #: largest
+    branch: Name  #: name of its line
+    x0_pu: Number  #: capacitive reactance at the equilibrium, system base
+    x_min_pu: Number = 0.0  #: least capacitive reactance; below 0: inductive
+    x_max_pu: Number  #: largest capacitive reactance
     T_s: Positive = 0.015  #: time constant of the thyristors
 
     @model_validator(mode="after")
@@ -386,7 +389,7 @@ class Tcsc(Row):
 
 
 class Converter(Row):
-    """A converter plant, such as solar or wind: P and Q at a bus that its control moves.
+    """A converter plant, such as solar or wind: P and Q at a bus, set by its control.
 
     In the power flow it gives `P_mw` and `Q_mvar`; the control rests at the currents, or the voltage of
     its source, that these ask for, per unit on `base_mva`, which is that of all its parameters.
@@ -395,11 +398,13 @@ class Converter(Row):
     name: Annotated[str, Field(strict=True, max_length=64, pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]  #: its id
     bus: BusNumber  #: number of its bus
     base_mva: Positive  #: base of its per-unit values
-    P_mw: Number  #: into the network
-    Q_mvar: Number = 0.0  #: into the network
-    regulates: BusNumber | None = None  #: number of the bus that its plant control sees; None: its own
-    measures: Name | None = None  #: name of the branch whose flow its plant control sees; None: its own power
-    measures_from: BusNumber | None = None  #: number of the bus where that leaves; None: the branch's `from`
+    P_mw: Number  #: active power into the network
+    Q_mvar: Number = 0.0  #: reactive power into the network
+    regulates: BusNumber | None = None  #: number of the bus that its plant control regulates; None: its own
+    #: name of the branch whose flow its plant control measures; None: its own power
+    measures: Name | None = None
+    #: number of the bus at which that flow leaves; None: `from` of the branch
+    measures_from: BusNumber | None = None
     control: ConverterControl  #: device and its values
 
     @property
@@ -416,5 +421,5 @@ class Converter(Row):
 class Tie(Row):
     """The interface whose active power is the output `tie_p`: flow from bus `from` into `branches`."""
 
-    branches: Annotated[tuple[Name, ...], Field(min_length=1)]  #: names of the branches that make the tie
-    from_bus: BusNumber = Field(alias="from")  #: number of the bus that exports
+    branches: Annotated[tuple[Name, ...], Field(min_length=1)]  #: names of the branches of the tie
+    from_bus: BusNumber = Field(alias="from")  #: number of the exporting bus

@@ -32,31 +32,32 @@ class CaseTables(Table):
 
     model_config = ConfigDict(populate_by_name=True, ignored_types=(cached_property,))
 
-    #: short, for files and messages
+    #: short name for files and messages
     name: Annotated[str, Field(strict=True, max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
-    title: Title = ""  #: in a line what it is
-    source: str  #: where the data come from; a table of rows can have its own
+    title: Title = ""  #: one line
+    source: str  #: source of the data; a table of rows can have its own
     frequency_hz: Annotated[float, Field(strict=True, ge=RATED_HZ[0], le=RATED_HZ[1])]  #: rated frequency
     base_mva: Positive  #: system base of per-unit values
-    solver_step_s: SolverStep | None = None  #: of the plant FMU; None: its default
-    #: machines whose difference of speeds a run is judged by; None: taken from the inter-area mode's shape
+    solver_step_s: SolverStep | None = None  #: solver step of the plant FMU; None: its default
+    #: machines whose speed difference is the swing signal; None: from the shape of the inter-area mode
     swing: Annotated[tuple[str, ...], Field(min_length=2, max_length=2)] | None = None
     sources: Mapping[str, str] = {}  #: table -> "KEY, where"
-    devices: Mapping[str, str] = {}  #: user-defined device files beside this one, or what they hold by name
-    buses: Annotated[tuple[Bus, ...], Field(min_length=1)]  #: by number
+    #: user-defined device files, relative to this file, or their contents by name
+    devices: Mapping[str, str] = {}
+    buses: Annotated[tuple[Bus, ...], Field(min_length=1)]  #: rows by bus number
     branches: tuple[Branch, ...] = ()  #: lines and transformers by name
-    shunts: tuple[Shunt, ...] = ()  #: by name
-    loads: tuple[Load, ...] = ()  #: by name
-    machines: Annotated[tuple[Machine, ...], Field(min_length=1)]  #: by name
+    shunts: tuple[Shunt, ...] = ()  #: rows by name
+    loads: tuple[Load, ...] = ()  #: rows by name
+    machines: Annotated[tuple[Machine, ...], Field(min_length=1)]  #: rows by name
     svcs: tuple[Svc, ...] = ()  #: static var compensators and STATCOMs by name
     tcscs: tuple[Tcsc, ...] = ()  #: thyristor controlled series capacitors by name
     converters: tuple[Converter, ...] = ()  #: converter plants by name
     hvdcs: tuple[Hvdc, ...] = ()  #: dc links with line-commutated converters by name
     vscs: tuple[Vsc, ...] = ()  #: dc links with voltage-source converters by name
-    tie: Tie | None = None  #: the cut whose flow operating points move
+    tie: Tie | None = None  #: interface whose flow operating points change
     events: tuple[Event, ...] = Field(
         default=(), alias="event"
-    )  #: what belongs to the grid, as its relays: happens in every run, before a scenario's own
+    )  #: events of the grid itself, such as its relays: in every run, before those of a scenario
 
     @property
     def omega_b(self) -> float:

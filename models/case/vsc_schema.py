@@ -17,41 +17,45 @@ FullFrom = Annotated[float, Field(strict=True, gt=0.0, le=0.95)]
 
 
 class Vsc(DcLink):
-    """A dc link with voltage-source converters: one end keeps its power, the other the dc voltage.
+    """A dc link with voltage-source converters: one end controls the power, the other the dc voltage.
 
     In the power flow it takes `P_mw` at `from_bus` and gives there what the line and both converters leave of
     it at `to_bus`, with the reactive power of each end; dc voltage and `vdc_kv` are the same at `to_bus`.
     """
 
     name: Annotated[str, Field(strict=True, max_length=64, pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]  #: its id
-    from_bus: BusNumber  #: number of the bus whose end keeps its power
-    to_bus: BusNumber  #: number of the bus whose end keeps the dc voltage
+    from_bus: BusNumber  #: number of the bus of the end that controls the power
+    to_bus: BusNumber  #: number of the bus of the end that controls the dc voltage
     base_mva: Positive  #: rated power, base of its per-unit values with `vdc_kv`
-    vdc_kv: Positive  #: rated dc voltage, between the poles, which it has at rest
-    P_mw: Number  #: from the network at `from_bus` into the link; below 0 the other way
+    vdc_kv: Positive  #: rated pole-to-pole dc voltage, that of the equilibrium
+    P_mw: Number  #: power from the network at `from_bus` into the link; below 0: reverse
     from_q_mvar: Number = 0.0  #: reactive power into the network at `from_bus`
     to_q_mvar: Number = 0.0  #: the same at `to_bus`
     r_ohm: NonNegative  #: resistance of the line, both poles
-    energy_s: Energy = 0.03  #: of all dc capacitors at rated dc voltage, MJ by MVA of `base_mva`
-    from_keeps: Keeps = "q"  #: in a run, at `from_bus`: "q" the reactive power, "v" the voltage it rests at
+    energy_s: Energy = 0.03  #: energy of all dc capacitors at rated voltage, MJ per MVA of `base_mva`
+    #: controlled at `from_bus` in a run: "q" reactive power, "v" ac voltage, as at the equilibrium
+    from_keeps: Keeps = "q"
     to_keeps: Keeps = "q"  #: the same at `to_bus`
     from_i_max_pu: Positive = 1.1  #: largest current at `from_bus`
     to_i_max_pu: Positive = 1.1  #: the same at `to_bus`
-    from_priority: Priority = "p"  #: which current is kept there at the limit: "p" the active, "q" the other
+    #: current with priority at the limit there: "p" active, "q" reactive
+    from_priority: Priority = "p"
     to_priority: Priority = "p"  #: the same at `to_bus`
-    from_loss_mw: NonNegative = 0.0  #: of the converter there
-    to_loss_mw: NonNegative = 0.0  #: of the converter at `to_bus`
-    p_mod_pu: Positive = 0.1  #: largest modulation, either sign
-    t_voltage_s: NonNegative = 0.01  #: measurement of the ac voltages
-    t_current_s: Annotated[float, Field(strict=True, ge=0.001, le=1.0)] = 0.01  #: current control
-    vdc_gain: Positive = 3.0  #: of the active current at `to_bus`, pu by pu of dc voltage
-    vdc_integral: Positive = 50.0  #: of it, pu/s by pu of dc voltage
-    v_gain: NonNegative = 1.0  #: of the reactive current where the voltage is kept, pu by pu
-    v_integral: Positive = 20.0  #: of it, pu/s by pu
-    chopper_pu: Annotated[float, Field(strict=True, gt=1.0)] = 1.1  #: dc voltage above which a chopper takes
-    chopper_gain: NonNegative = 10.0  #: its current by the dc voltage beyond; 0: there is none
-    vdc_low_pu: NonNegative = 0.6  #: dc voltage at and below which `from_bus` takes no power out of the link
-    vdc_full_pu: FullFrom = 0.8  #: from which on it may take all; between them a straight line
+    from_loss_mw: NonNegative = 0.0  #: loss of the converter at `from_bus`
+    to_loss_mw: NonNegative = 0.0  #: loss of the converter at `to_bus`
+    p_mod_pu: Positive = 0.1  #: largest modulation of the power, either sign
+    t_voltage_s: NonNegative = 0.01  #: time constant of the ac voltage measurement
+    #: time constant of current control
+    t_current_s: Annotated[float, Field(strict=True, ge=0.001, le=1.0)] = 0.01
+    vdc_gain: Positive = 3.0  #: proportional gain of dc voltage control at `to_bus`, pu per pu
+    vdc_integral: Positive = 50.0  #: its integral gain, pu/s per pu
+    v_gain: NonNegative = 1.0  #: proportional gain of ac voltage control, pu per pu
+    v_integral: Positive = 20.0  #: its integral gain, pu/s per pu
+    chopper_pu: Annotated[float, Field(strict=True, gt=1.0)] = 1.1  #: dc voltage at which the chopper starts
+    chopper_gain: NonNegative = 10.0  #: chopper current per dc voltage above that, pu per pu; 0: no chopper
+    #: dc voltage up to which `from_bus` takes no power out of the link
+    vdc_low_pu: NonNegative = 0.6
+    vdc_full_pu: FullFrom = 0.8  #: dc voltage above which it may take all; linear between both
 
     @model_validator(mode="after")
     def _two_ends(self) -> Self:

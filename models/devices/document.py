@@ -7,44 +7,44 @@ from collections.abc import Iterable
 
 from .language.device import NO_LIMIT, Device, Parameter
 
-#: what each element means; the same words in the documentation of every device
+#: meaning of each element, for the documentation of every device
 ELEMENTS = {
     "lag(u, T)": "T y' = K u - y within min .. max (non-windup); T = 0: y = K u",
     "leadlag(u, T1, T2)": "y = K u (1 + s T1)/(1 + s T2); T2 = 0: y = K u",
     "washout(u, T)": "y = K u s T/(1 + s T); T = 0: y = K u",
     "rate(u, K, T)": "y = u s K/(1 + s T); K = 0: absent",
     "integrator(u)": "T y' = K u within min .. max (non-windup)",
-    "pi(u, KP, KI)": "y = KP u + KI u/s + add within min .. max; the integral stands while it pushes out",
+    "pi(u, KP, KI)": "y = KP u + KI u/s + add within min .. max, with conditional integration",
     "filter2(u, A1, A2, B1, B2)": "y = u (1 + B1 s + B2 s^2)/(1 + A1 s + A2 s^2)",
     "vx(E, E1, S1, E2, S2)": "E SE(E) = B (E - A)^2 above A, through both points (scaled quadratic of PSS/E)",
-    "ramp(u, T1, T2, M, N)": "y = u ((1 + s T1)/(1 + s T2)^M)^N as eight places for lead-lags, M N <= 8",
+    "ramp(u, T1, T2, M, N)": "y = u ((1 + s T1)/(1 + s T2)^M)^N as up to eight lead-lags, M N <= 8",
     "vx_inverse(F, KE, E1, S1, E2, S2)": "the v for which KE v + vx(v) = F",
     "fex(n)": "regulation of a rectifier",
-    "min(a, b, ...)": "the least of two to four",
-    "max(a, b, ...)": "the largest of two to four",
+    "min(a, b, ...)": "least of two to four values",
+    "max(a, b, ...)": "largest of two to four values",
     "lv(a, b, ...)": "low-value gate, as min",
     "hv(a, b, ...)": "high-value gate, as max",
     "clamp(u, low, high)": "u within low .. high",
-    "deadband(u, w)": "0 within -w .. w, beyond it u less w",
-    "pick(condition, a, b)": "a where a comparison such as KF > 0 holds, else b",
-    "table(u, x1, y1, x2, y2, ...)": "linear between the points, held beyond the ends",
-    "abs(u)": "size",
+    "deadband(u, w)": "0 within -w .. w; u reduced by w in magnitude beyond",
+    "pick(condition, a, b)": "a if a comparison such as KF > 0 holds, else b",
+    "table(u, x1, y1, x2, y2, ...)": "linear between the points, constant beyond the ends",
+    "abs(u)": "absolute value",
     "sqrt(u)": "square root",
     "exp(u)": "exponential",
     "log(u)": "natural logarithm",
-    "sin(u)": "sine of rad",
-    "cos(u)": "cosine of rad",
+    "sin(u)": "sine, u in rad",
+    "cos(u)": "cosine, u in rad",
 }
-#: what stands behind the arguments of an element
+#: options after the arguments of an element
 OPTIONS = {
-    "K=gain": "of lag, leadlag, washout, integrator; 1 when not given",
-    "T=time": "of an integrator, s; 1 when not given",
-    "min=a, max=b": "of lag, integrator, pi (no windup) and leadlag (of its output); they may move",
+    "K=gain": "of lag, leadlag, washout, integrator; default 1",
+    "T=time": "of an integrator, s; default 1",
+    "min=a, max=b": "of lag, integrator, pi (non-windup) and leadlag (of its output); they may vary",
     "rate_min=a, rate_max=b": "of a lag: bounds of its rate, 1/s",
     "add=u": "of a pi: added inside its limits, such as a derivative part",
-    "feedback=g": "of a pi: g times its output is taken off its input",
-    "rest=value": "of a lag, integrator or pi: where it rests when nothing else says so",
-    "freeze=flag": "of a lag, integrator or pi: its state stands while this is 1",
+    "feedback=g": "of a pi: g times its output is subtracted from its input",
+    "rest=value": "of a lag, integrator or pi: equilibrium value if no other condition sets it",
+    "freeze=flag": "of a lag, integrator or pi: its state is held while this is 1",
 }
 
 

@@ -13,54 +13,54 @@ _NUMBER: dict[str, Any] = {"type": "number"}
 
 
 def device_schema() -> dict[str, Any]:
-    """Return the JSON Schema of a device file; what only its reader can see (expressions) is text here."""
+    """Return the JSON Schema of a device file; expressions, which only its reader checks, are text here."""
     parameter: dict[str, tuple[dict[str, Any], str]] = {
-        "unit": ({"enum": list(UNITS), "default": "1"}, "of the value"),
-        "min": (_NUMBER, "least value; with `min = 0` a time may be 0: then its part is not there"),
-        "above": (_NUMBER, "in place of `min`: the value itself is not allowed"),
+        "unit": ({"enum": list(UNITS), "default": "1"}, "unit of the value"),
+        "min": (_NUMBER, "least value; with `min = 0` a time constant may be 0, which omits its part"),
+        "above": (_NUMBER, "lower bound in place of `min`; the value itself is not allowed"),
         "max": (_NUMBER, "largest value"),
-        "default": ({**_NUMBER, "examples": [0.02]}, "for rows without it; `inf` or `-inf`: an absent limit"),
-        "text": (_TEXT, "what it is"),
+        "default": ({**_NUMBER, "examples": [0.02]}, "value of rows without it; `inf` or `-inf`: no limit"),
+        "text": (_TEXT, "meaning"),
     }
     computed: dict[str, tuple[dict[str, Any], str]] = {
-        "when": ({"type": ["number", "string"], "examples": [0.0]}, "the value, or word, that asks for it"),
-        "value": (_TEXT, "expression of parameters, inputs and the output at rest"),
+        "when": ({"type": ["number", "string"], "examples": [0.0]}, "value, or word, that requests it"),
+        "value": (_TEXT, "expression of parameters, inputs and the output at the equilibrium"),
     }
     top: dict[str, tuple[dict[str, Any], str]] = {
         "name": (
             {**_TEXT, "pattern": "^[A-Za-z][A-Za-z0-9_]{0,23}$"},
-            "in small letters the `kind` of a row",
+            "in lower case the `kind` of a row",
         ),
-        "kind": ({"enum": sorted(KINDS)}, "decides which signals there are"),
-        "title": (_TEXT, "in a line what it is"),
-        "sources": ({"type": "array", "items": _TEXT}, "where the diagram comes from"),
-        "oracle": ({**_TEXT, "examples": ["PSS/E time record"]}, "what it was held against"),
-        "notes": ({**_TEXT, "examples": ["limits act after the lag"]}, "what a user has to know"),
+        "kind": ({"enum": sorted(KINDS)}, "kind of device; determines its signals"),
+        "title": (_TEXT, "one line"),
+        "sources": ({"type": "array", "items": _TEXT}, "sources of the diagram"),
+        "oracle": ({**_TEXT, "examples": ["PSS/E time record"]}, "reference of its validation"),
+        "notes": ({**_TEXT, "examples": ["limits act after the lag"]}, "notes for users"),
         "references": (
             {"type": "array", "items": _TEXT, "examples": [["pref", "p0 = pe"]]},
-            "set-points: one is solved for at rest, `NAME = expression` is fixed there; default: of the kind",
+            "set-points: one is solved at rest, `NAME = expression` fixes one; default: of the kind",
         ),
         "diagram": (
             {**_TEXT, "examples": ["efd = lag(vref + vs - vc, TA, K=KA)"]},
-            "a line for each signal, in any order: `name = expression  # what it is`",
+            "one line per signal, in any order: `name = expression  # meaning`",
         ),
         "dyr": (
             {"type": "object", "additionalProperties": _TEXT, "examples": [{"MYAVR": "TR - KA; TB = 0"}]},
-            "records of PSS/E that are this device: fields in order, `-` ignored, `-NAME` ignored "
-            "and named by an import where it is not 0, `0` or `0:NAME` must be 0 (`0:BUS`: or its "
-            "own bus); after `;` what is fixed",
+            "PSS/E records of this device: fields in order. `-`: ignored; `-NAME`: ignored, and reported by "
+            "an import if it is not 0; `0` or `0:NAME`: must be 0 (`0:BUS`: or its own bus); after `;`: "
+            "fixed parameters",
         ),
         "computed": (
             {"type": "object", "additionalProperties": {"$ref": "#/$defs/Computed"}},
-            "parameters that are computed at rest when they are given so",
+            "parameters that can be computed at the equilibrium",
         ),
         "parameters": (
             {"type": "object", "additionalProperties": {"$ref": "#/$defs/Parameter"}},
-            "by name; the keys of a row in a case",
+            "parameters by name, which are keys of a row in a case",
         ),
         "check": (
             {"type": "object", "additionalProperties": _TEXT, "examples": [{"EMIN <= EMAX": "swap them"}]},
-            "comparison of parameters = what to do when it does not hold",
+            "comparison of parameters = remedy if it does not hold",
         ),
     }
     return {
@@ -71,13 +71,13 @@ def device_schema() -> dict[str, Any]:
         "$defs": {
             "Parameter": {
                 "type": "object",
-                "description": "A number of the device.",
+                "description": "A parameter of the device.",
                 "additionalProperties": False,
                 "properties": _described(parameter),
             },
             "Computed": {
                 "type": "object",
-                "description": "A parameter that follows from the operating point when it is given so.",
+                "description": "A parameter that is computed from the operating point on request.",
                 "additionalProperties": False,
                 "properties": _described(computed),
                 "required": ["when", "value"],
@@ -91,22 +91,22 @@ def _described(rules: dict[str, tuple[dict[str, Any], str]]) -> dict[str, Any]:
 
 
 def diagram_words() -> Iterator[str]:
-    """Lines in Markdown: what a diagram can be drawn with, and which signals each kind has."""
+    """Lines in Markdown: elements and functions of diagrams, and signals of each kind."""
     yield from ("## Elements and functions", "")
     yield from (
-        "An element has states and a line of its own; a function may stand in any expression, beside "
+        "An element has states and needs its own line. A function may be part of any expression, as "
         "`+ - * /` and `**2` to `**4`. Times and gains of elements are expressions of parameters.",
         "",
-        "| word | what it gives |",
+        "| call | result |",
         "|---|---|",
         *(f"| `{call}` | {text} |" for call, text in (ELEMENTS | OPTIONS).items()),
         "",
         "## Signals",
         "",
-        f"`{MBASE}`, the base of the machine in MVA, and `{FBASE}`, the nominal frequency in Hz, are known "
-        "to every device.",
+        f"`{MBASE}`, the base of the machine in MVA, and `{FBASE}`, the nominal frequency in Hz, are "
+        "constants in every device.",
         "",
-        "| kind | it gives | set-point | it sees |",
+        "| kind | output | set-point | inputs |",
         "|---|---|---|---|",
     )
     for name, kind in sorted(KINDS.items()):
