@@ -109,7 +109,7 @@ def test_worst_comes_first_and_nothing_runs_twice(
 def test_page_and_files_hold_what_was_found(screening: tuple[list[Screened], Path]) -> None:
     rows, folder = screening
     page = write_screening(SCREENING, rows, folder).read_text(encoding="utf-8")
-    table = page[page.index("Worst first") :]
+    table = page[page.index("worst first") :]
     first, second = (table.index(f'<td class="t">{one.place}</td>') for one in rows)
     assert first < second
     assert f"{1e3 * rows[0].critical_s:.4g}" in table and "<svg" in page
