@@ -1,4 +1,4 @@
-"""The page of a grid's study, in the order in which a planner asks."""
+"""The page of a grid's study, in the order of a planner's questions."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def mode_shapes(modes: Sequence[Mode], case: Case) -> list[Markup]:
 
 
 def write_page(study: Mapping[str, Any], modes: Sequence[Mode], shapes: Sequence[Markup], path: Path) -> Path:
-    """Write the page of what `study` holds so far; a part that is not there yet says so.
+    """Write the page of the results in `study`; a section without results states so.
 
     modes : those shown, in the order of the page. shapes : figures of the first ones (`mode_shapes`).
     """
@@ -73,7 +73,7 @@ def sentence(text: str) -> str:
 
 
 def headline(study: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return what the study comes to, a sentence each: the weakest mode, what was reached, the worth."""
+    """Return the results of the study, one sentence each: weakest mode, damping reached, worth."""
     modes = [m for m in study["modes"]["modes"] if m["name"].startswith("inter-area")]
     lines = []
     if study["modes"]["growing"]:
@@ -91,29 +91,30 @@ def headline(study: Mapping[str, Any]) -> tuple[str, ...]:
     if "local" in study:
         lines.append(sentence(study["local"]["sentence"]))
     if study["problem"]:
-        lines.append(f"It stops here: {study['problem']}.")
+        lines.append(f"The study stopped: {study['problem']}.")
     return tuple(lines)
 
 
 def _reached(study: Mapping[str, Any]) -> list[str]:
-    """Return what the controller of a study reaches and misses, a sentence each."""
+    """Return the results and violations of the controller of a study, one sentence each."""
     certificate = study["certificate"]
     lines = []
     beside = "the local stabilizers and " if (study.get("local") or {}).get("installed") else ""
     lines.append(
-        f"With {beside}the controller designed here it is at least {certificate['inter_area']:.3f} at "
-        "every operating point, latency and loss of one signal that was judged."
+        f"With {beside}the controller the inter-area damping ratio is at least "
+        f"{certificate['inter_area']:.3f} at all operating points, latencies and "
+        "losses of one signal of the certificate."
     )
     short = [row["point"] for row in study.get("left_out", ()) if not _holds(row, study["asked"])]
     if short:
         lines.append(
-            "At operating points that are not in the design it falls short of what was asked: "
+            "At these operating points outside the design it does not meet the requirements: "
             f"{', '.join(dict.fromkeys(short))}."
         )
     if certificate.get("modes") is not None:
-        lines.append(f"While nothing is lost {most_taken(certificate['modes'])}.")
+        lines.append(f"Without loss of a signal {most_taken(certificate['modes'])}.")
     if missed := len(certificate["violations"]):
-        lines.append(f"It misses {missed} of what was asked, first: {certificate['violations'][0]}.")
+        lines.append(f"It violates {missed} of the requirements, first: {certificate['violations'][0]}.")
     lines.append(sentence(in_words(certificate["acceptance"])))
     return lines
 

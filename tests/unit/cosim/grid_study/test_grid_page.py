@@ -41,20 +41,20 @@ def test_what_is_missed_is_said_at_the_top() -> None:
     bad = _certificate(passed=False, violations=["base, fault at bus 7: synchronism lost", "another"])
     bad["acceptance"]["lost"] = ["base, fault at bus 7"]
     lines = headline(_study(certificate=bad))
-    assert lines[2] == "It misses 2 of what was asked, first: base, fault at bus 7: synchronism lost."
+    assert lines[2] == "It violates 2 of the requirements, first: base, fault at bus 7: synchronism lost."
     assert lines[3].startswith("Non-linear faults: 1 of 10 lost that hold without it")
-    assert not any("misses" in line for line in headline(_study(certificate=_certificate())))
+    assert not any("violates" in line for line in headline(_study(certificate=_certificate())))
 
 
 def test_a_point_outside_the_design_that_falls_short_is_said_at_the_top() -> None:
     row = {"point": "1-2 out", "stable": True, "inter_area": 0.09, "worst_swing": 0.05}
     asked = {"inter_area": 0.1, "worst_swing": 0.05}
     study = _study(certificate=_certificate(), asked=asked, left_out=[row])
-    assert any("not in the design it falls short of what was asked: 1-2 out." in t for t in headline(study))
+    assert any("outside the design it does not meet the requirements: 1-2 out." in t for t in headline(study))
     row["inter_area"] = 0.1
-    assert not any("falls short" in line for line in headline(study))
+    assert not any("outside the design" in line for line in headline(study))
     row["stable"] = False  # a loop may be unstable and have no root in the band
-    assert any("falls short" in line for line in headline(study))
+    assert any("outside the design" in line for line in headline(study))
 
 
 def test_a_grid_that_grows_is_said_first() -> None:
@@ -153,7 +153,7 @@ def test_a_study_of_a_grid_from_its_name_alone(
     points = 1 + sum(point["taken"] for point in study["points"])  # and the grid as it is
     assert certificate["acceptance"]["cases"] == 3 * points
     assert certificate["passed"] == (not certificate["violations"])
-    assert any(line.startswith("It misses") for line in headline(study)) != certificate["passed"]
+    assert any(line.startswith("It violates") for line in headline(study)) != certificate["passed"]
     _, out, _ = interarea("certify", tmp_path / "controller.json", "--json")
     again = json.loads(out)
     assert again["inter_area"] == pytest.approx(certificate["inter_area"], abs=1e-9)
