@@ -24,25 +24,25 @@ ENOUGH = 0.25
 
 
 class Choices(Table):
-    """A study of a grid; every key but `grid` has a default. Descriptions stand in its file."""
+    """A study of a grid; every key but `grid` has a default."""
 
     grid: Annotated[
         str,
         Field(
-            description="bundled case, a case, RAW or MATPOWER file beside this one, or a grid to download"
+            description="bundled case, a case, RAW or MATPOWER file (relative path), or a grid to download"
         ),
     ]
     dyr: Annotated[
         str | None,
-        Field(description="PSS/E dynamic data of a RAW file, beside this one", examples=["mine.dyr"]),
+        Field(description="PSS/E dynamic data of a RAW file, relative path", examples=["mine.dyr"]),
     ] = None
     minutes: Annotated[
-        float, Field(gt=0.0, description="that it may take; what there is no time for is left out and said")
+        float, Field(gt=0.0, description="time limit; the page lists parts omitted for lack of time")
     ] = MINUTES
     #: none: what `wanted` says
     inter_area: Annotated[
         float | None,
-        Field(ge=0.0, lt=1.0, description="damping ratio that is asked of the inter-area modes"),
+        Field(ge=0.0, lt=1.0, description="required damping ratio of the inter-area modes"),
     ] = None
     given_away: Annotated[
         float,
@@ -51,23 +51,24 @@ class Choices(Table):
         ),
     ] = 0.005
     #: none: all
-    actuators: Annotated[
-        tuple[str, ...], Field(description="voltage set-points that the loops may drive")
-    ] = ()
-    most_actuators: Annotated[int, Field(ge=1, le=6, description="of a set of loops")] = 4
+    actuators: Annotated[tuple[str, ...], Field(description="voltage set-points available to the loops")] = ()
+    most_actuators: Annotated[
+        int, Field(ge=1, le=6, description="largest number of actuators of a set of loops")
+    ] = 4
     #: with any one lost there are others
     signals: Annotated[
-        int, Field(ge=1, le=10, description="speeds that each actuator sees at most, its own among them")
+        int, Field(ge=1, le=10, description="largest number of speeds per actuator, including its own")
     ] = 3
     #: as in the bundled designs of large grids
     order: Annotated[int, Field(ge=1, le=20, description="states of each loop")] = 4
     #: noise of 1 mHz on a speed then moves an output by .0016 pu at most
-    effort: Annotated[float, Field(gt=0.0, description="pu per rad/s, at most")] = 0.25
+    effort: Annotated[float, Field(gt=0.0, description="largest effort, pu per rad/s")] = 0.25
     latencies_ms: Annotated[
-        tuple[Annotated[int, Field(gt=0)], ...], Field(description="of all signals, beside none")
+        tuple[Annotated[int, Field(gt=0)], ...],
+        Field(description="latencies of all signals, in addition to zero"),
     ] = (100, 200)
-    faults: Annotated[int, Field(ge=1, description="places of faults, at most")] = 6
-    clear_s: Annotated[float, Field(gt=0.0, description="how long a fault lasts")] = 0.1
+    faults: Annotated[int, Field(ge=1, description="largest number of fault locations")] = 6
+    clear_s: Annotated[float, Field(gt=0.0, description="duration of a fault, s")] = 0.1
 
     def wanted(self, least: float) -> float:
         """Return the inter-area damping ratio asked for where the least without control is `least`.

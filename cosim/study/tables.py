@@ -387,50 +387,50 @@ Printed = Annotated[str, Field(pattern=r"^[-+]?\d*\.?\d+$")]
 class PrintedModeTable(Table):
     """A mode as it is printed."""
 
-    printed_as: Word  #: words of the print
-    mode: Word  #: our name of it, such as `inter-area`
-    exchanged: str | None = None  #: our name of it by a second reading, with two rows exchanged
-    frequency_hz: Printed  #: in quotes, with the digits of the print
-    damping_ratio: Printed  #: in quotes, with the digits of the print
+    printed_as: Word  #: name in the publication
+    mode: Word  #: our name of the mode, such as `inter-area`
+    exchanged: str | None = None  #: our name in an alternative reading, with two rows exchanged
+    frequency_hz: Printed  #: in quotes, with the printed digits
+    damping_ratio: Printed  #: in quotes, with the printed digits
 
 
 class PrintedLoopTable(Table):
     """A loop as it is printed, with its selection index."""
 
-    actuator: Word  #: machine
-    signal: Word  #: such as `dw24`
-    index: Printed  #: in quotes, with the digits of the print
-    meant: Printed | None = None  #: what must be meant, where the print cannot be right
-    note: str = ""  #: why, beside the number
+    actuator: Word  #: machine of the actuator
+    signal: Word  #: signal, such as `dw24`
+    index: Printed  #: in quotes, with the printed digits
+    meant: Printed | None = None  #: intended value, if the printed one is impossible
+    note: str = ""  #: reason, printed with the number
 
 
 class StatementTable(Table):
-    """A printed statement: it agrees where every part holds, in part where some do, else differs."""
+    """A printed statement: it agrees if all parts hold, in part if some do, else differs."""
 
-    where: Word  #: in the publication
-    check: Word  #: short and unique: by which pages name it
-    says: Word  #: what it says, in one's own words
+    where: Word  #: place in the publication
+    check: Word  #: short unique name, used by pages
+    says: Word  #: the statement, paraphrased
     #: name -> path into study.json: keys and positions between slashes, `key=value` a row, `@x` the nearest
     evidence: Mapping[str, Word]
     parts: Annotated[tuple[Word, ...], Field(min_length=1)]  #: comparisons of the evidence
-    ours: Word  #: what is found; `{name:.3f}` puts evidence in
-    why: str = ""  #: why it differs
-    always: bool = False  #: whether `why` is printed where it agrees, too
+    ours: Word  #: our result; `{name:.3f}` inserts evidence
+    why: str = ""  #: reason of the difference
+    always: bool = False  #: true: print `why` also if it agrees
 
 
 class CorrectionTable(Table):
-    """Where the printed text does not hold."""
+    """A correction of the printed text."""
 
-    where: Word  #: in the publication
-    holds: Word  #: what holds instead
+    where: Word  #: place in the publication
+    holds: Word  #: correct statement
 
 
 class ClaimsTable(Table):
-    """What a publication prints, to be judged by what a study finds."""
+    """Claims of a publication, for verdicts by a study's results."""
 
     source: str = ""  #: key of the source
-    where: str = ""  #: the part that is looked at
-    modes: tuple[PrintedModeTable, ...] = ()  #: the table of modes, a row each
-    loops: tuple[PrintedLoopTable, ...] = ()  #: the table of loops, a row each
+    where: str = ""  #: part of the publication
+    modes: tuple[PrintedModeTable, ...] = ()  #: table of modes, one entry per row
+    loops: tuple[PrintedLoopTable, ...] = ()  #: table of loops, one entry per row
     statement: tuple[StatementTable, ...] = ()  #: statements, one table each
-    correction: tuple[CorrectionTable, ...] = ()  #: where the text does not hold, one table each
+    correction: tuple[CorrectionTable, ...] = ()  #: corrections of the text, one table each
