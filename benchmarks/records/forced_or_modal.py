@@ -28,13 +28,11 @@ from threadpoolctl import threadpool_limits
 
 import interarea as ia
 from interarea.cosim.records.forced import (
-    _LEAST_WIDE,
-    _MOST_POINTS,
-    _SIDE,
     FORCED,
     LEAST_DAMPING,
     UNDECIDED,
     _likelihood,
+    side_hz,
 )
 from interarea.cosim.records.meter import meter
 from interarea.cosim.records.record import Record, RecordError
@@ -77,8 +75,7 @@ def limits(count: int, rng: np.random.Generator) -> list[float]:
     ratios = []
     for _ in range(count):
         w = 2.0 * np.pi * float(np.exp(rng.uniform(*np.log(HZ))))
-        side = min(max(_SIDE * w / (2.0 * np.pi), _LEAST_WIDE / LENGTH_S), 0.5 * _MOST_POINTS / LENGTH_S)
-        points = round(2.0 * side * LENGTH_S)
+        points = round(2.0 * side_hz(w / (2.0 * np.pi), LENGTH_S) * LENGTH_S)
         spacing = LENGTH_S / points
         z = wandering(LEAST_DAMPING * w * spacing, np.ones(points, complex), rng)
         noise = rng.standard_normal((2, points))

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import cho_factor, cho_solve
-from scipy.optimize import minimize
+from scipy.optimize import minimize, minimize_scalar
 
 from .record import Array
 from .signals import Swings, without_slow_motion
@@ -81,9 +81,14 @@ def lines_of(swings: Swings) -> list[Line]:
     return lines
 
 
+def forced_hz(lines: Sequence[Line]) -> list[float]:
+    """Return the frequencies of those of `lines` that are forced, and of their harmonics, Hz."""
+    return [x.frequency_hz * k for x in lines if x.kind == FORCED for k in (1, *x.harmonics)]
+
+
 def without(swings: Swings, lines: Sequence[Line]) -> Swings:
     """Return signals less those of `lines` that are forced, with their harmonics."""
-    taken = [x.frequency_hz * k for x in lines if x.kind == FORCED for k in (1, *x.harmonics)]
+    taken = forced_hz(lines)
     if not taken:
         return swings
     factors, _ = _fit(swings.values, swings, taken)
@@ -128,8 +133,6 @@ def _peaks(swings: Swings) -> list[float]:
 def _fitted(swings: Swings, frequency_hz: float) -> tuple[float, ComplexArray, Array]:
     """Return the frequency near that given whose sine leaves least of the combinations, its amplitudes in
     `patterns`, and what it leaves."""
-    from scipy.optimize import minimize_scalar
-
     near = 0.5 / swings.length_s
     best = minimize_scalar(
         lambda f: float(np.sum(_fit(swings.combined, swings, [f])[1] ** 2)),
@@ -139,9 +142,14 @@ def _fitted(swings: Swings, frequency_hz: float) -> tuple[float, ComplexArray, A
     return float(best.x), np.asarray(factors[0] - 1j * factors[1]), rest
 
 
+def side_hz(frequency_hz: float, length_s: float) -> float:
+    """Return how far the band of a line's envelope reaches to each side, Hz."""
+    return min(max(_SIDE * frequency_hz, _LEAST_WIDE / length_s), 0.5 * _MOST_POINTS / length_s)
+
+
 def _judged(swings: Swings, frequency_hz: float) -> Line:
     f, amplitude, rest = _fitted(swings, frequency_hz)
-    side = min(max(_SIDE * f, _LEAST_WIDE / swings.length_s), 0.5 * _MOST_POINTS / swings.length_s)
+    side = side_hz(f, swings.length_s)
     envelope, spacing = _envelope(amplitude, rest, swings.step_s, f, side)
     purity = float(np.abs(envelope.mean()) ** 2 / np.mean(np.abs(envelope) ** 2))
     ratio = 0.0 if purity < _IMPURE else _likelihood(envelope, spacing, 2.0 * np.pi * f)

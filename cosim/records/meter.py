@@ -13,7 +13,7 @@ from scipy.stats import norm
 from ..results import matrix_pencil as pencil
 from ..results import metrics as m
 from .ambient import LEVEL, AmbientMode, Estimate, ambient_modes
-from .forced import FORCED, LEAST_DAMPING, MODAL, UNDECIDED, Line, lines_of, without
+from .forced import FORCED, LEAST_DAMPING, MODAL, UNDECIDED, Line, forced_hz, lines_of, without
 from .record import BAND_HZ, Array, Record, RecordError
 from .signals import Swings, swings_of
 
@@ -242,13 +242,12 @@ def _ambient(swings: Swings, band_hz: tuple[float, float]) -> list[Swing]:
     lines = lines_of(swings)
     stand = [line for line in lines if line.kind != MODAL]
     swings_seen = [_of_line(swings, line) for line in stand]
-    taken = [line.frequency_hz * k for line in stand if line.kind == FORCED for k in (1, *line.harmonics)]
     if swings.length_s >= LEAST_AMBIENT_S:
         rest = without(swings, stand)
         for mode in ambient_modes(rest.combined, swings.step_s, band_hz):
             f = mode.pole.imag / (2.0 * np.pi)
             if all(abs(f - line.frequency_hz) > line.width_hz for line in stand if line.kind == UNDECIDED):
-                swings_seen.append(_of_mode(swings, mode, taken))
+                swings_seen.append(_of_mode(swings, mode, forced_hz(stand)))
     return sorted(swings_seen, key=lambda s: -s.amplitude)
 
 

@@ -193,9 +193,10 @@ def _rows(library: RealCodeLibrary, swing: _Swing, besides: str = "") -> list[by
 def _compare(besides: str, library: RealCodeLibrary, tell: Tell) -> None:
     """A run is the same one whatever the tool does beside it."""
     for swing in _SWINGS:
-        one, other, again = (_rows(library, swing, act) for act in ("", besides, ""))
-        if one != other and (one == again or besides != "alignment"):
+        one, other = (_rows(library, swing, act) for act in ("", besides))
+        if one != other and (besides != "alignment" or _rows(library, swing) == one):
             tell(f"DLL {besides}", INTERFACE, *_BESIDES[besides])
+            return
 
 
 def messages(library: RealCodeLibrary, tell: Tell) -> None:
