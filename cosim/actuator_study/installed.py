@@ -108,7 +108,7 @@ def installed(
         if not rated[kind]:
             there = [KINDS[k] for k, rows in rated.items() if rows] or ["exciter alone"]
             raise ScenarioError(
-                f"{case.name}: no {KINDS[kind]} in this grid, there is: {', '.join(there)}; add a row to the "
+                f"{case.name}: no {KINDS[kind]} in this grid, present: {', '.join(there)}; add a row to the "
                 f"table {_TABLE[kind]}, or leave --actuator {kind} out"
             )
         chosen[kind] = max(rated[kind].items(), key=lambda item: item[1])
@@ -117,7 +117,7 @@ def installed(
         if power is not None and not power <= rating * (1.0 + 1e-9):
             raise ScenarioError(
                 f"--mva {power:g}: {name} ({KINDS[kind]}) of {case.name} has {rating:.4g} MVA, allowed: "
-                "above 0 and at most that; give the device more or --mva less"
+                "above 0 and at most that; increase its rating or reduce --mva"
             )
     plant = speeds_in_rad(remove_reference(linear_plant(case, cache)), case.omega_b)
     return {k: _installed(k, weak, plant, chosen.get(k), power) for k in kinds}, power
@@ -169,8 +169,8 @@ def _installed(
         best = next((one for one in weak.sets if one.actuators[0].endswith("_vs")), None)
         if best is None:
             raise ScenarioError(
-                f"{weak.case.name}: no exciter of this grid regulates, allowed: --actuator with kinds of "
-                "devices alone; or give a machine an exciter"
+                f"{weak.case.name}: no exciter of this grid regulates; name only devices with --actuator, "
+                "or add an exciter to a machine"
             )
         actuator = best.actuators[0]
         sees, _ = signals_of_set(weak, best)

@@ -41,7 +41,7 @@ def _figure(study: Mapping[str, Any]) -> Figure:
         right.axhline(study["survived_without"], color=MUTED, linewidth=0.8)
         left.set_ylim(bottom=0.0)
         left.set_ylabel("inter-area damping ratio")
-        right.set_ylabel("faults survived, worst loss")
+        right.set_ylabel("stable faults, worst signal lost")
         right.set_ylim(0, len(study["faults"]) * len(study["clear_ms"]) + 0.5)
         right.yaxis.set_major_locator(MaxNLocator(integer=True))
         for axes in (left, right):

@@ -66,7 +66,7 @@ def study_actuators(
         designs = link_designs(weak, cache, clock, points=POINTS, faults=places)
         made = ActuatorCells(designs, cache)
         study: dict[str, Any] = {
-            "title": "Which actuator damps a mode best?",
+            "title": "Which actuator damps an inter-area mode best?",
             "command": command,
             "minutes": minutes,
             "grid": case.name,
@@ -134,7 +134,7 @@ def kinds_of(names: Sequence[str]) -> tuple[str, ...]:
     """
     for name in names:
         if name not in KINDS:
-            raise ScenarioError(f"--actuator {name}: no kind of actuator, allowed: {', '.join(KINDS)}")
+            raise ScenarioError(f"--actuator {name}: not a kind of actuator, allowed: {', '.join(KINDS)}")
     return tuple(kind for kind in KINDS if not names or kind in names)
 
 

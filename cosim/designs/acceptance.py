@@ -129,7 +129,7 @@ class ClearingRow:
 
 @dataclass(frozen=True)
 class Acceptance:
-    """What came out.
+    """Result of the acceptance.
 
     lost : kept without control only. gained : kept with control only, and decaying. standing : kept, but
     nothing that decays though it does, or loses synchronism, without control, with verdict. loops : how many
@@ -151,11 +151,11 @@ class Acceptance:
 
     @property
     def violations(self) -> tuple[str, ...]:
-        """What is held against the controller, each in words."""
+        """The violations of the controller, each as a sentence."""
         return (
-            *(f"{case}: synchronism lost, kept without it" for case in self.lost),
+            *(f"{case}: synchronism lost; kept without the controller" for case in self.lost),
             *self.standing,
-            *(f"linear loop {loop}, stable without it" for loop in self.unstable),
+            *(f"linear loop {loop}; stable without the controller" for loop in self.unstable),
         )
 
     @property
@@ -366,7 +366,7 @@ class _Collected:
                     self.gained.append(str(s))
                 elif run.synchronous and not run.stable and (without.stable or not without.synchronous):
                     alone_does = "decays" if without.stable else "synchronism lost"
-                    self.standing.append(f"{s}: {run.verdict}; {alone_does} without it")
+                    self.standing.append(f"{s}: {run.verdict}; without the controller {alone_does}")
 
     def take_loops(self, groups: Groups, ends: Mapping[Try, LoopEnd]) -> None:
         """Compare each linear loop with that without control."""

@@ -52,8 +52,8 @@ def _member_table(table: DesignTable, member: MemberTable) -> DesignTable:
         seen = tuple(s for s in signals if s in member.signals)
         if not seen:
             raise ScenarioError(
-                f"design {table.name}: bank member {member.name} leaves {actuator} without a signal; it may "
-                f"see {', '.join(signals)}"
+                f"design {table.name}: bank member {member.name} leaves {actuator} without a signal; "
+                f"allowed: {', '.join(signals)}"
             )
         parts.append(PartTable(actuator=actuator, signals=seen, order=member.order))
     left_out = {
@@ -154,7 +154,7 @@ def bank_plants(table: DesignTable, cache: Path) -> dict[str, control.StateSpace
     for name, each in family_plants(table, cache).items():
         if each.small is None:
             raise ScenarioError(
-                f"{table.grid.name}: {each.blocks.nstates} states are too many for a bank's proof"
+                f"{table.grid.name}: {each.blocks.nstates} states are too many for a switching proof"
             )
         plants[name] = speeds_in_rad(each.small, each.case.omega_b)
     return plants

@@ -1,4 +1,4 @@
-"""What a certificate says of losses, latencies and faults, in a line; and what it does not cover."""
+"""A certificate's result for losses, latencies and faults, in one line; and what it does not cover."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Judging(Protocol):
 
 
 def not_covered(table: Judging, signals: Sequence[str], acceptance: Mapping[str, Any] | None) -> str:
-    """Return in words what a certificate by the design `table` says nothing of.
+    """Return in words what a certificate by the design `table` does not cover.
 
     signals : of the controller. acceptance : its record (`Acceptance.as_dict`); None: it was not run.
     """
@@ -56,7 +56,7 @@ _WRONG = "a signal that is wrong while marked as valid"
 
 def _faults_left_out(table: Judging, acceptance: Mapping[str, Any] | None) -> list[str]:
     if table.acceptance is None:
-        return ["non-linear faults (the design names none)"]
+        return ["non-linear faults (the design defines none)"]
     if acceptance is None:
         return ["non-linear faults (--acceptance runs them)"]
     left_out = []
@@ -65,7 +65,9 @@ def _faults_left_out(table: Judging, acceptance: Mapping[str, Any] | None) -> li
         left_out.append(f"non-linear faults at {', '.join(others)}")
     if acceptance["unsolved"]:
         places = ", ".join(acceptance["unsolved"])
-        left_out.append(f"linear loops after faults where no power flow is found ({places}: with the branch)")
+        left_out.append(
+            f"linear loops after faults whose power flow has no solution ({places}: with the branch)"
+        )
     return left_out
 
 
@@ -85,22 +87,23 @@ def drive_in_words(drive: float, predicted: str, faults: Sequence[Mapping[str, A
 
 
 def in_words(result: Mapping[str, Any] | None) -> str:
-    """Return the acceptance of a certificate in a line: what is lost first, or that nothing is.
+    """Return the acceptance of a certificate in one line: counts, and the first failure.
 
     result : as `Acceptance.as_dict` gives it; None: never judged.
     """
     if result is None:
-        return "non-linear faults: not judged"
-    text = f"non-linear faults: {len(result['lost'])} of {result['cases']} lost that hold without it"
+        return "non-linear faults: not computed"
+    lost = f"{len(result['lost'])} of {result['cases']} lose synchronism only with the controller"
+    text = f"non-linear faults: {lost}"
     if result["lost"]:
         text += f" (first: {result['lost'][0]})"
-    text += f", {len(result['gained'])} gained"
+    text += f", {len(result['gained'])} only without it"
     if "standing" not in result:
-        text += "; decay not judged"
+        text += "; decay not evaluated"
     elif result["standing"]:
         text += f"; {len(result['standing'])} do not decay (first: {result['standing'][0]})"
     if result.get("unstable"):
-        text += f"; {len(result['unstable'])} of {result['loops']} linear loops that faults end in are "
+        text += f"; {len(result['unstable'])} of {result['loops']} linear loops after the faults are "
         text += f"unstable (first: {result['unstable'][0]})"
     if result["clearing_mean_change_cycles"] is not None:
         text += (

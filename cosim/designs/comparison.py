@@ -168,7 +168,7 @@ def effort_figure(alternatives: tuple[Alternative, ...], effort_cap: float, wors
         axes.fill_between([0.0, right], worst_swing, axes.get_ylim()[1], color=MUTED, alpha=0.12, lw=0)
         axes.set_xlabel("effort (pu s/rad)")
         axes.set_ylabel("damping ratio over the family")
-        axes.set_title("dots: worst swing mode; triangles: inter-area; shaded: what is asked")
+        axes.set_title("dots: worst swing mode; triangles: inter-area; shaded: requirements")
         axes.legend()
     return figure
 

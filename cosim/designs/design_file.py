@@ -145,7 +145,7 @@ class DesignTable(Table):
         known = [point.name for point in self.point]
         for k, stage in enumerate(self.stage, start=1):
             if strange := sorted(set(stage.points) - set(known)):
-                raise ValueError(f"stage {k} names the points {strange}; the design's are {sorted(known)}")
+                raise ValueError(f"stage {k} names unknown points {strange}; the design has {sorted(known)}")
         if self.acceptance is not None:
             self.acceptance.check(known)
         if self.first_swing is not None:

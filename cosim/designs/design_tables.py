@@ -135,9 +135,13 @@ class BankTable(Table):
         """Raise ValueError for members that see what the design does not, and a guard that turns."""
         for member in self.member:
             if strange := sorted(set(member.signals) - set(signals)):
-                raise ValueError(f"bank member {member.name} sees {strange}, allowed: {', '.join(signals)}")
+                raise ValueError(
+                    f"bank member {member.name} uses unknown signals {strange}, allowed: {', '.join(signals)}"
+                )
         if guard is not None and guard.follows is not None:
-            raise ValueError(f"guard.follows = {guard.follows!r}: the supervisor of a bank follows no flow")
+            raise ValueError(
+                f"guard.follows = {guard.follows!r}: not possible in a bank, its supervisor follows no flow"
+            )
 
 
 class StageTable(Table):

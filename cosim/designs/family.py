@@ -89,7 +89,7 @@ class FamilyPlant:
         if not model.error <= MODEL_ERROR:
             raise ReductionError(
                 f"{self.case.name}: {MODEL_STATES} states leave an error of {model.error:.1e} over the peak, "
-                f"allowed: {MODEL_ERROR:g}; take fewer signals or actuators"
+                f"allowed: {MODEL_ERROR:g}; use fewer signals or actuators"
             )
         return model.system
 
@@ -148,7 +148,7 @@ def with_mode_changes(
     conditions: Sequence[Condition],
     given_away: float,
 ) -> FamilyCertificate:
-    """Add to a certificate what is left of every mode while nothing is lost, and which lose too much.
+    """Add to a certificate the least damping of every mode without loss of a signal, and its violations.
 
     given_away : damping ratio that a mode may lose; infinity: the certificate stays as it is.
     """
@@ -161,7 +161,7 @@ def with_mode_changes(
         plant = LargePlant(each.blocks, each.case.areas, each.case.omega_b)
         changes += mode_changes(name, plant, K, there, worst)
     missed = [
-        f"{change.text}: asked not more than {given_away:g} less"
+        f"{change.text}: allowed decrease {given_away:g}"
         for change in changes
         if not change.taken <= given_away
     ]

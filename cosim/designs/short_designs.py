@@ -51,8 +51,8 @@ class ShortDesign:
             "clearing times not searched"
         )
         if self.damping - self.own >= PAYS:
-            return f"the link buys {self.damping - self.own:.3f}, {message}"
-        return f"a local stabilizer does as well: do not build this link; {message}"
+            return f"the link adds {self.damping - self.own:.3f}, {message}"
+        return f"a local stabilizer performs as well: do not build this link; {message}"
 
 
 def short_designs(

@@ -52,7 +52,7 @@ class FirstSwingTable(Table):
     def check(self, points: Sequence[str], acceptance: AcceptanceTable | None) -> None:
         """Raise ValueError where it names no point of the design, or there is no fault to go by."""
         if acceptance is None:
-            raise ValueError("first_swing needs [acceptance]: its faults are those that are looked at")
+            raise ValueError("first_swing needs [acceptance]: it uses the faults named there")
         require_points("first_swing.points", self.points, points)
 
 
@@ -103,7 +103,7 @@ def swing_penalty(
                 ]
     if not swing_cases:
         raise ScenarioError(
-            "first_swing: no fault of the acceptance leaves a first peak without control; shorten it "
+            "first_swing: no fault of the acceptance has a first peak without control; shorten it "
             "(acceptance.clear_cycles) or name other points"
         )
     return SwingPenalty(swing_cases, STEP_S, table.limit_pu or limit_pu, table.margins_deg[0])
@@ -135,7 +135,9 @@ def first_swing(
     machines = [name.removesuffix("_vs") for name in actuators]
     unknown = [a for a in actuators if not a.endswith("_vs")]
     if unknown:
-        raise ScenarioError(f"first_swing: {', '.join(unknown)} is no voltage set-point (..._vs) to pulse")
+        raise ScenarioError(
+            f"first_swing: {', '.join(unknown)} is not a voltage set-point, allowed: names that end in _vs"
+        )
     timing = acceptance.model_dump(mode="json", include={"start_s", "clear_cycles", "x_pu"})
     key = content_hash(
         file_hash(plant_fmu(case, cache)), fault.model_dump(), timing, list(actuators), code_hash(__name__)

@@ -82,7 +82,7 @@ def _own_of(table: DesignTable) -> dict[str, tuple[str, ...]]:
     own = {a: own_signals([a], selected)[a] for a, selected in sees.items()}
     if all(set(own[a]) == set(sees[a]) for a in sees):
         raise ScenarioError(
-            f"design {table.name}: sees no signal from another machine, so its worth is that of the whole"
+            f"design {table.name}: uses no signal of another machine, so the link has no worth to compute"
         )
     for actuator, signals in own.items():
         if not signals:
@@ -92,7 +92,7 @@ def _own_of(table: DesignTable) -> dict[str, tuple[str, ...]]:
                 + (
                     f"add one of its own, such as {actuator.removesuffix('_vs')}_dw"
                     if actuator.endswith("_vs")
-                    else "a device at a bus has none, so leave its worth out (--no-worth)"
+                    else "a device at a bus has none, so omit the worth (--no-worth)"
                 )
             )
     return own

@@ -138,7 +138,7 @@ def design_of_findings(
             done = design_for(again, cache, clock, name=name, named=named_stabilized, report=report)
             return replace(done, local=local, stabilized=stabilized.case)
         except InfeasibleDesign as error:
-            lines = (f"No loop came out for the grid with local stabilizers: {error}.",)
+            lines = (f"No loop was designed for the grid with local stabilizers: {error}.",)
     done = design_for(findings, cache, clock, first=first, report=report)
     return replace(done.because(lines), local=local)
 
@@ -226,7 +226,7 @@ def left_out_rows(
     table, rows = proposal.table, []
     for row in proposal.left_out:
         if clock.over(stage):
-            clock.leave(f"the controller at {row.point.name}, which is not in its design")
+            clock.leave(f"the controller at {row.point.name}, a point outside its design")
             continue
         case = at_point(table.grid, row.point)
 
@@ -272,7 +272,7 @@ def _with_worst_points(
         if not name:
             break
         also.append(name)
-        lines.append(f"Taken up: {name}, where the design without it holds {reached:.3f}.")
+        lines.append(f"Point {name} added: without it the design reaches {reached:.3f} there.")
         again = _searched_with(design.proposal, also, cache, clock, progress)
         if again is None or not least_held(again.certificate["rows"]) > reached + GAINED:
             break
@@ -310,7 +310,7 @@ def _searched_with(
 def _without_time(clock: Clock) -> tuple[str, ...]:
     if not clock.left_out:
         return ()
-    return (f"Within {clock.minutes:g} minutes there was no time for: {'; '.join(clock.left_out)}.",)
+    return (f"Within {clock.minutes:g} minutes these were not computed: {'; '.join(clock.left_out)}.",)
 
 
 def _searched(table: DesignTable, cache: Path, progress: Callable[[float], object]) -> Controller:

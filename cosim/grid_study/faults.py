@@ -1,4 +1,4 @@
-"""Faults with a controller and without, point after point, with smaller output limits where some are lost."""
+"""Faults with and without a controller at each operating point; smaller output limits where some fail."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ from ..designs.design_file import DesignTable, design_record
 from ..designs.family import family_cases
 from .clock import Clock
 
-TIME_OVER = "not judged, the time was over"  #: ends what is held against a controller without having been run
-#: output limits that are tried until no fault is lost that holds without control, pu: a guard that watches a
-#: lost signal limits nothing, and a smaller output adds less to a first swing
+TIME_OVER = "not judged, time limit reached"  #: ends each violation of a controller that was not run
+#: output limits, pu, tried in this order until no fault is unstable only with control: a guard has no effect
+#: while its signal is lost, and a smaller output adds less to a first swing
 LIMITS_PU = (0.05, 0.02, 0.01)
 
 

@@ -41,7 +41,7 @@ class LinkSet:
 
 
 def conclusion(sets: Sequence[LinkSet]) -> str:
-    """Return what the links of a grid are worth, a clause for each set of loops.
+    """Return the worth of the links of a grid, one clause for each set of loops.
 
     >>> conclusion([])
     'no set of loops was designed'
@@ -55,32 +55,33 @@ def _clause(one: LinkSet) -> str:
     rows = [row for ms in LATENCIES_MS if (row := one.row(AFAR, ms)) is not None]
     own = one.row(OWN, 0)
     if not rows:
-        return f"{where} there is no link: {one.missing.get(AFAR, 'not designed')}"
+        return f"{where} no link was designed: {one.missing.get(AFAR, 'not designed')}"
     best = max(row.least for row in rows)
     if own is None:
-        return f"{where} there is no own signal to do without the link: inter-area {best:.3f} at most with it"
+        reached = f"inter-area damping with the link {best:.3f} at most"
+        return f"{where} no own signal is available for comparison; {reached}"
     paying = [row.latency_ms for row in rows if one.pays(AFAR, row.latency_ms)]
     if not paying:
         return (
-            f"{where} a local stabilizer does as well: do not build this link (inter-area {own.least:.3f} "
-            f"with the own signal, {best:.3f} at most with the link)"
+            f"{where} a local stabilizer performs as well: do not build this link (inter-area damping "
+            f"{own.least:.3f} with the own signal, {best:.3f} at most with the link)"
         )
-    text = f"{where} the link buys {_bought(one, paying)}; inter-area {own.least:.3f} without it"
+    text = f"{where} the link adds {_added(one, paying)}; inter-area damping without it {own.least:.3f}"
     return text + _rest(one, paying, [row.latency_ms for row in rows if row.latency_ms not in paying])
 
 
 def _rest(one: LinkSet, paying: Sequence[int], others: Sequence[int]) -> str:
-    """Return where a nearer signal does as well as a link that pays, and where it does not pay."""
+    """Return the latencies at which a nearer signal performs as well, and those without a gain."""
     text = ""
     if as_good := [ms for ms in paying if _area_as_good(one, ms)]:
-        text += f" (a signal of the own area damps as well at {_listed(as_good)} ms)"
+        text += f" (a signal of the own area performs as well at {_listed(as_good)} ms)"
     if others:
-        text += f"; at {_listed(others)} ms a local stabilizer does as well: do not build it for these"
+        text += f"; at {_listed(others)} ms a local stabilizer performs as well: do not build the link"
     return text
 
 
-def _bought(one: LinkSet, paying: Sequence[int]) -> str:
-    """Return what a link buys at the latencies at which it pays."""
+def _added(one: LinkSet, paying: Sequence[int]) -> str:
+    """Return what a link adds at the latencies at which it pays."""
     both = {ms: one.adds(AFAR, ms) for ms in paying}
     damping = {ms: adds for ms, (adds, _) in both.items() if adds >= PAYS}
     cycles = {ms: adds for ms, (_, adds) in both.items() if adds is not None and adds >= PAYS_CYCLES}

@@ -118,7 +118,9 @@ def signals_of_set(weak: WeakModes, chosen: LoopSet) -> tuple[dict[str, Any], di
                 sees[signals][actuator] = (f"{own}_dw", f"{machine}_dw")
             else:
                 where = "of" if signals == AREA else "outside"
-                missing.setdefault(signals, f"no machine {where} the area of {own} without a loop of the set")
+                missing.setdefault(
+                    signals, f"no machine {where} the area of {own} that has no loop of the set"
+                )
     return {name: seen for name, seen in sees.items() if name not in missing}, missing
 
 

@@ -204,39 +204,40 @@ def which_to_build(
     a stabilizer of `local` in the grid that `wide` is for.
     """
     if local is None:
-        return "no machine can be tuned by residue phase: a wide-area loop is what there is"
+        return "no local stabilizer can be tuned by residue phase: use the wide-area loop"
     machines = ", ".join(name.removesuffix("_dw") for name in local.inputs)
     there = f"local stabilizers at {machines} reach {_reached(local)}"
-    afar = f"the wide-area loop {_reached(wide)}"
+    afar = f"the wide-area loop reaches {_reached(wide)}"
     if _passed(local) or (_only_time(local) and not _passed(wide)):
         adds = (wide.certificate or {})["inter_area"] - (local.certificate or {})["inter_area"]
-        by_itself = f"would add {adds:+.3f}" if adds >= 0.0 else f"by itself reaches {-adds:.3f} less"
-        not_run = "" if _passed(local) else f"; not all faults were run: they miss {_missed(local)}"
+        compared = f"would add {adds:.3f}" if adds >= 0.0 else f"alone reaches {-adds:.3f} less"
+        not_run = "" if _passed(local) else f"; not verified within the time limit: {_missed(local)}"
         return (
-            f"local stabilizers are enough, no link is needed: at {machines} they reach {_reached(local)}, "
-            f"with any one lost; the wide-area loop {by_itself} inter-area{not_run}"
+            "local stabilizers are sufficient, a wide-area link is not needed: those at "
+            f"{machines} reach {_reached(local)} with any one of them out of service; "
+            f"the wide-area loop {compared} inter-area damping{not_run}"
         )
     if installed:
         return _both(wide, local, asked, there, installed)
     if _passed(wide):
-        return f"build the wide-area loop: {afar}; {there}, which misses {_missed(local)}"
+        return f"build the wide-area loop: {afar}; {there} and violate {_missed(local)}"
     wide_first = _nearness(wide, asked) >= _nearness(local, asked)
-    better = "wide-area loop comes" if wide_first else "local stabilizers come"
+    closer = "wide-area loop is" if wide_first else "local stabilizers are"
     return (
-        f"neither holds all that is asked; the {better} nearer: {afar} and misses {_missed(wide)}; "
-        f"{there} and miss {_missed(local)}"
+        f"neither meets all requirements; the {closer} closer: {afar} and violates {_missed(wide)}; "
+        f"{there} and violate {_missed(local)}"
     )
 
 
 def _both(
     wide: Controller, local: Controller, asked: tuple[float, float], there: str, installed: Sequence[str]
 ) -> str:
-    both = f"with a wide-area loop beside those at {', '.join(installed)} {_reached(wide)}"
+    both = f"a wide-area loop and those at {', '.join(installed)} reach {_reached(wide)}"
     if _passed(wide):
-        return f"build both: {there} and miss {_missed(local)}; {both}, and nothing is missed"
-    alone = "" if _nearness(wide, asked) >= _nearness(local, asked) else "; the stabilizers alone come nearer"
-    missed = f"{there} and miss {_missed(local)}; {both} and misses {_missed(wide)}"
-    return f"not all that is asked is held{alone}: {missed}"
+        return f"build both: {there} and violate {_missed(local)}; {both} and meet all requirements"
+    alone = "" if _nearness(wide, asked) >= _nearness(local, asked) else "; the stabilizers alone are closer"
+    missed = f"{there} and violate {_missed(local)}; {both} and violate {_missed(wide)}"
+    return f"not all requirements are met{alone}: {missed}"
 
 
 def _passed(controller: Controller) -> bool:
@@ -244,22 +245,23 @@ def _passed(controller: Controller) -> bool:
 
 
 def _only_time(controller: Controller) -> bool:
-    """Whether nothing but faults that were not run is held against a controller."""
+    """Whether all violations of a controller are faults that were not run."""
     return all(line.endswith(TIME_OVER) for line in (controller.certificate or {})["violations"])
 
 
 def _missed(controller: Controller) -> str:
     violations = (controller.certificate or {})["violations"]
-    return f"{len(violations)} of what is asked (first: {violations[0]})"
+    return f"{len(violations)} requirement{'s' if len(violations) > 1 else ''} (first: {violations[0]})"
 
 
 def _reached(controller: Controller) -> str:
     certificate = controller.certificate or {}
-    return f"inter-area {certificate['inter_area']:.3f} and every swing {certificate['worst_swing']:.3f}"
+    least = f"{certificate['inter_area']:.3f} (inter-area) and {certificate['worst_swing']:.3f} (worst swing)"
+    return f"damping ratios of {least}"
 
 
 def _nearness(controller: Controller, asked: tuple[float, float]) -> tuple[int, int, float]:
-    """Return how near a controller comes: unstable loops, faults that it loses, damping that is missed."""
+    """Return the order of merit of a controller: unstable loops, failed faults, missing damping."""
     certificate = controller.certificate or {}
     unstable, short = falls_short(certificate, *asked)
     faults = certificate["acceptance"] or {}
@@ -292,7 +294,7 @@ def _table(wide: DesignTable, stabilizers: Sequence[Stabilizer], name: str) -> D
 def _with_gains(
     weak: WeakModes, wide: DesignTable, sets: Sequence[Sequence[Stabilizer]], clock: Clock, cache: Path
 ) -> list[Stabilizer]:
-    """Return the set with the gains that damp the grid best: all gains together, then one by one."""
+    """Return the set with the gains that damp the grid best: a common factor first, then each gain."""
     judges = [_damping_of_gains(weak, _table(wide, units, "tried"), units, cache) for units in sets]
     units, reached, best, value = sets[0], judges[0], [0.0] * len(sets[0]), _UNSTABLE
     for candidates, judge, added in (

@@ -350,11 +350,11 @@ def _guard(
 def _reasons(findings: Findings, taken: ShortDesign, names: set[str]) -> tuple[str, ...]:
     """Return the reason of each choice, one line each."""
     weak, candidates = findings.weak, findings.points
-    lines = [f"Made for {weak.case.name} from the grid alone; every number may be changed by hand."]
+    lines = [f"Generated for {weak.case.name} from the grid's data; edit any number as needed."]
     lines += ["Targets: " + ", ".join(in_words(m) for m in weak.targets) + "."]
     if weak.others:
         lines.append(
-            f"Left as they are, weak but not inter-area (a stabilizer at their machines serves them): "
+            f"Weak modes that are not inter-area and no targets (use stabilizers at their machines): "
             f"{', '.join(in_words(m) for m in weak.others)}."
         )
     lines += [
@@ -363,21 +363,21 @@ def _reasons(findings: Findings, taken: ShortDesign, names: set[str]) -> tuple[s
     ]
     first = findings.sets[0]
     why = (
-        f"the fewest within {WORTH_AN_ACTUATOR:g} of the best or of {ENOUGH:g}"
+        f"the fewest actuators within {WORTH_AN_ACTUATOR:g} of the best damping ratio, or of {ENOUGH:g}"
         if taken is first
-        else f"because a design for {', '.join(first.chosen.actuators)} missed what is asked"
+        else f"because a design for {', '.join(first.chosen.actuators)} violates a requirement"
     )
-    lines.append(f"Taken: {', '.join(taken.chosen.actuators)}, {why}.")
+    lines.append(f"Selected: {', '.join(taken.chosen.actuators)}, {why}.")
     for row in candidates:
         if not row.problem:
-            state = f"inter-area {row.least:.3f}, moves by {100.0 * row.moved:.0f} %"
-            lines.append(f"Point {row.point.name}: {state}{'; taken' if row.point.name in names else ''}.")
+            state = f"inter-area damping {row.least:.3f}, eigenvalue change {100.0 * row.moved:.0f} %"
+            lines.append(f"Point {row.point.name}: {state}{'; selected' if row.point.name in names else ''}.")
     if missing := [row.point.name for row in candidates if row.problem]:
-        lines.append(f"No operating point of a stable whole grid: {', '.join(missing)}.")
+        lines.append(f"Rejected points (no power flow, islands or unstable): {', '.join(missing)}.")
     least = min([weak.weakest.damping_ratio, *(r.least for r in candidates if r.point.name in names)])
     lines.append(
-        f"Asked: inter-area {weak.wanted:.3f} (without control {least:.3f} at the worst point), no mode more "
-        f"than {weak.choices.given_away:g} below itself without control."
+        f"Required: inter-area damping {weak.wanted:.3f} (without control {least:.3f} at the worst point); "
+        f"no mode may lose more than {weak.choices.given_away:g} of its damping ratio without control."
     )
     return tuple(lines)
 
@@ -386,4 +386,4 @@ def _kept(points: Sequence[PointTable]) -> tuple[str, ...]:
     asked = [f"{point.name} {point.ask[1]:.3f}" for point in points if point.ask is not None]
     if not asked:
         return ()
-    return (f"Asked of inter-area modes where the stabilizers give more than that: {', '.join(asked)}.",)
+    return (f"Required where the stabilizers already reach more inter-area damping: {', '.join(asked)}.",)

@@ -117,7 +117,7 @@ def study_grid(
             written()
             report(rival, 0.0)
             if has_rival(table) and clock.over(rival):
-                clock.leave("the rival that sees own signals alone")
+                clock.leave("the comparison controller with own signals only")
             elif has_rival(table):
                 controller = with_rival(controller, _rival(table, controller, cache, report))
             report(rival, 1.0)

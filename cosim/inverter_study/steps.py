@@ -246,9 +246,7 @@ def fault_of(case: Case, flow: PowerFlow) -> FaultPlace:
         except UserError:
             continue
         return FaultPlace(bus=branch.from_bus, trip=branch.name)
-    raise UserError(
-        f"{case.name}: every branch cuts the grid when it is tripped; nothing to clear a fault by"
-    )
+    raise UserError(f"{case.name}: the trip of any branch separates the grid; no branch can clear a fault")
 
 
 def _grid(case: Case, plant: SparsePlant, modes: AllModes) -> GridModes:

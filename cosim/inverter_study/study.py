@@ -59,7 +59,7 @@ def study_inverters(
 
     def written() -> dict[str, Any]:
         study = {
-            "title": "What do inverters in the machines' place do to the swing?",
+            "title": "How do inverters in place of machines change the swing modes?",
             "command": command,
             "minutes": minutes,
             "band_hz": list(BAND_HZ),

@@ -1,4 +1,4 @@
-"""What a sweep of inverters comes to, in sentences that follow from its numbers."""
+"""The conclusions of a sweep of inverters, derived from its numbers."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ SHOWN = 5e-4  #: of a damping ratio: what three digits after the point show
 
 
 def conclusion(rows: Sequence[Row]) -> list[str]:
-    """Return what the rows of one grid come to, each kind of inverter in turn, then both beside each other.
+    """Return the conclusions for one grid: each kind of inverter, then their comparison.
 
     >>> conclusion([])
     ['no step was computed']
@@ -33,25 +33,25 @@ def _of_kind(kind: str, rows: Sequence[Row]) -> list[str]:
 
 
 def _inter_area(rows: Sequence[Row]) -> str:
-    """Return where the inter-area mode goes, and where its damping is least."""
+    """Return the change of the inter-area mode, and its least damping."""
     seen = [row for row in rows if row["inter_area_hz"] is not None]
     if len(seen) < 2:
         return ""
     first, last = seen[0], seen[-1]
     least = min(seen, key=lambda row: row["inter_area_damping"])
     text = (
-        f"from {_percent(first)} to {_percent(last)} the inter-area mode goes from "
+        f"from {_percent(first)} to {_percent(last)} the inter-area mode changes from "
         f"{first['inter_area_hz']:.2f} to {last['inter_area_hz']:.2f} Hz and its damping ratio from "
         f"{first['inter_area_damping']:.3f} to {last['inter_area_damping']:.3f}"
     )
     if least not in (first, last):
-        text += f", least {least['inter_area_damping']:.3f} at {_percent(least)}"
+        text += f", minimum {least['inter_area_damping']:.3f} at {_percent(least)}"
     gone = [row for row in rows if row["share"] > last["share"]]
-    return f"{text}; beyond that no swing has its shape" if gone else text
+    return f"{text}; at larger shares no mode has its shape" if gone else text
 
 
 def _worst(rows: Sequence[Row]) -> str:
-    """Return the swing that is damped least of all, and from which share on something grows."""
+    """Return the least damped swing mode, and the shares at which the grid is unstable."""
     grows = [row for row in rows if not row["stable"]]
     text = "stable at every share"
     if grows:
@@ -61,51 +61,51 @@ def _worst(rows: Sequence[Row]) -> str:
         return text
     least = min(seen, key=lambda row: row["worst_damping"])
     return (
-        f"{text}; the worst swing of all is {least['worst_name']} at {_percent(least)}, "
-        f"{least['worst_hz']:.2f} Hz with {least['worst_damping']:.3f}"
+        f"{text}; the least damped swing mode is {least['worst_name']} at {_percent(least)}: "
+        f"{least['worst_hz']:.2f} Hz, damping ratio {least['worst_damping']:.3f}"
     )
 
 
 def _clearing(rows: Sequence[Row]) -> str:
-    """Return what becomes of the clearing time."""
+    """Return the change of the critical clearing time."""
     seen = [row for row in rows if row["clearing_cycles"] is not None]
     if len(seen) < 2:
         return ""
     least = min(seen, key=lambda row: row["clearing_cycles"])
     return (
-        f"the fault may last {seen[0]['clearing_cycles']:.1f} cycles at {_percent(seen[0])}, "
-        f"{seen[-1]['clearing_cycles']:.1f} at {_percent(seen[-1])}, and least "
+        f"the critical clearing time is {seen[0]['clearing_cycles']:.1f} cycles at {_percent(seen[0])}, "
+        f"{seen[-1]['clearing_cycles']:.1f} at {_percent(seen[-1])}, minimum "
         f"{least['clearing_cycles']:.1f} at {_percent(least)}"
     )
 
 
 def _controller(rows: Sequence[Row]) -> str:
-    """Return at which shares the bundled controller, designed without inverters, still helps."""
+    """Return at which shares the bundled controller, designed without inverters, is still effective."""
     seen = [row for row in rows if row["controlled_stable"] is not None and row["worst_damping"] is not None]
     if not seen:
         return ""
     grows = [_percent(row) for row in seen if row["stable"] and not row["controlled_stable"]]
     shorter = [_percent(row) for row in seen if _is_shorter(row)]
-    text = f"with the bundled controller the worst swing is damped {_moved(seen)}"
+    text = f"with the bundled controller the damping of the worst swing mode is {_moved(seen)}"
     if grows:
         text += f"; the loop is unstable at {', '.join(grows)}"
     if shorter:
-        text += f"; the fault may last less with it at {', '.join(shorter)}"
+        text += f"; the critical clearing time is shorter with it at {', '.join(shorter)}"
     return text
 
 
 def _moved(rows: Sequence[Row]) -> str:
-    """Return at which shares the worst swing is damped more, the same and less."""
-    groups: dict[str, list[str]] = {"more": [], "the same": [], "less": []}
+    """Return the shares at which the damping of the worst swing mode is higher, equal and lower."""
+    groups: dict[str, list[str]] = {"higher": [], "equal": [], "lower": []}
     for row in rows:
         gain = _gain(row)
-        groups["more" if gain > SHOWN else "the same" if gain >= -SHOWN else "less"].append(_percent(row))
+        groups["higher" if gain > SHOWN else "equal" if gain >= -SHOWN else "lower"].append(_percent(row))
     where = {how: "every share" if len(at) == len(rows) else ", ".join(at) for how, at in groups.items()}
     return "; ".join(f"{how} at {at}" for how, at in where.items() if at)
 
 
 def _is_shorter(row: Row) -> bool:
-    """Whether the fault may last less with the controller; False where either is not known."""
+    """Whether the critical clearing time is shorter with the controller; False if either is unknown."""
     without, controlled = row["clearing_cycles"], row["clearing_controlled"]
     return None not in (without, controlled) and not controlled >= without
 
@@ -124,15 +124,15 @@ def _link(rows: Sequence[Row]) -> str:
     if not seen:
         return ""
     paying = [row for row in seen if row["link_afar"] - row["link_own"] >= PAYS]
-    asked = ", ".join(_percent(row) for row in seen)
+    computed = ", ".join(_percent(row) for row in seen)
     if not paying:
-        return f"a signal of another area does not pay; asked at {asked}"
+        return f"a signal of another area does not pay (computed at {computed})"
     gains = ", ".join(f"{_percent(row)} ({row['link_own']:.3f} to {row['link_afar']:.3f})" for row in paying)
-    return f"a signal of another area pays at {gains}; asked at {asked}"
+    return f"a signal of another area pays at {gains}; computed at {computed}"
 
 
 def _beside(rows: Sequence[Row], kinds: Sequence[str]) -> list[str]:
-    """Return which kind damps more at the largest share that both have."""
+    """Return the damping of both kinds at the largest share that both have."""
     if len(kinds) < 2:
         return []
     worst = [{r["share"]: r["worst_damping"] for r in rows if r["kind"] == kind} for kind in kinds]
@@ -141,16 +141,17 @@ def _beside(rows: Sequence[Row], kinds: Sequence[str]) -> list[str]:
         return []
     share = max(both)
     listed = ", ".join(f"{kind} {one[share]:.3f}" for kind, one in zip(kinds, worst, strict=True))
-    return [f"worst swing at {100 * share:.0f} %: {listed}"]
+    return [f"damping ratio of the worst swing mode at {100 * share:.0f} %: {listed}"]
 
 
 def _proof(rows: Sequence[Row]) -> str:
     """Return of how many rows the modes are proven complete."""
     lists = [row[key] for row in rows for key in ("complete", "controlled_complete") if row[key] is not None]
     if all(lists):
-        return f"all {len(lists)} lists of modes are proven complete by an independent count"
+        return f"an independent count confirms that all {len(lists)} lists of modes are complete"
     return (
-        f"{sum(lists)} of {len(lists)} lists of modes are proven complete, the others are named in the table"
+        f"an independent count confirms that {sum(lists)} of {len(lists)} lists of modes are complete; "
+        "the table names the others"
     )
 
 

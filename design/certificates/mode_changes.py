@@ -1,4 +1,4 @@
-"""What a controller takes from each mode: those of the open loop, followed one by one into the closed one.
+"""The damping that a controller takes from each mode: open-loop modes, tracked into the closed loop.
 
 A bound on the worst swing of all lets a controller take from every mode but the worst; here each is compared
 with itself.
@@ -52,13 +52,13 @@ class ModeChange:
 
 
 def most_taken(modes: Sequence[Mapping[str, Any]]) -> str:
-    """Return in words of which mode of a certificate's record the most is taken."""
+    """Return the mode of a certificate's record that loses most damping, as a sentence."""
     if not modes:
         return f"no swing mode below a damping ratio of {_BELOW:g} without control"
     worst = max((ModeChange(**mode) for mode in modes), key=lambda change: change.taken)
     if not worst.taken > 0.0:
-        return f"no mode is damped less than without control, or less than {CALM:g}"
-    return f"most is taken from {worst.text}"
+        return f"no mode loses damping below {CALM:g}"
+    return f"the damping ratio decreases most for {worst.text}"
 
 
 def mode_changes(

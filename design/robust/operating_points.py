@@ -44,7 +44,7 @@ class FamilyRow:
 
 @dataclass(frozen=True)
 class FamilyCertificate:
-    """What a controller holds over a family; `violations` is empty when it holds what was asked."""
+    """The results of a controller over a family; `violations` is empty if it meets all requirements."""
 
     rows: tuple[FamilyRow, ...]
     worst_swing: float
@@ -75,7 +75,7 @@ class FamilyCertificate:
 
     @property
     def passed(self) -> bool:
-        """Whether nothing that was asked is violated."""
+        """Whether no requirement is violated."""
         return not self.violations
 
     def as_dict(self) -> dict[str, Any]:
@@ -134,7 +134,7 @@ def judge_family(
         *(f"{row.point}, {row.condition}: unstable" for row in rows if not row.stable),
         *_short_at(rows, conditions, (worst_swing, inter_area), targets or {}, at),
         *(
-            f"{name} is {value:.4g}, asked {own_requested}"
+            f"{name} is {value:.4g}, required {own_requested}"
             for name, value, satisfied, own_requested in requested
             if not satisfied
         ),
@@ -163,7 +163,7 @@ def _short_at(
     targets: Mapping[str, tuple[float, float]],
     at: Mapping[str, tuple[float, float]] | None,
 ) -> Iterator[str]:
-    """Give what rows miss of what is asked of them: at the points of `at` of that, elsewhere of the rest."""
+    """Yield the violations of the requirements: those of `at` at its points, elsewhere the common ones."""
     at = at or {}
     yield from _short_of([row for row in rows if row.point not in at], conditions, asked, targets)
     for point, here in at.items():
@@ -177,7 +177,7 @@ def _short_of(
     asked: tuple[float, float],
     targets: Mapping[str, tuple[float, float]],
 ) -> Iterator[str]:
-    """Give what the rows of each kind of condition miss of its target, or of what is asked of all."""
+    """Yield the violations of the target of each kind of condition, or of the common requirements."""
     under = {c.name: next((k for k in (c.name, c.kind) if k in targets), "") for c in conditions}
     for kind in dict.fromkeys(under.values()):
         selected = [row for row in rows if under[row.condition] == kind]
@@ -191,16 +191,17 @@ def _short_of(
         ):
             value = min(float(getattr(row, of)) for row in selected)
             if not value >= least:
-                yield f"{name} damping{where} is {value:.4g}, asked {_asked(selected, of, least)}"
+                yield f"{name} damping{where} is {value:.4g}, required {_required(selected, of, least)}"
 
 
-def _asked(rows: Sequence[FamilyRow], of: str, wanted: float) -> str:
-    """Return what is asked of a damping, how many rows miss it, and the one that does most."""
+def _required(rows: Sequence[FamilyRow], of: str, wanted: float) -> str:
+    """Return the required damping ratio, the number of rows that violate it, and the worst one."""
     short = [row for row in rows if not getattr(row, of) >= wanted]
     if not short:
         return f">= {wanted:g}"
     least = min(short, key=lambda row: float(getattr(row, of)))
-    return f">= {wanted:g}: missed in {len(short)} of {len(rows)}, most at {least.point}, {least.condition}"
+    count = f"{len(short)} of {len(rows)} conditions"
+    return f">= {wanted:g}: violated in {count}, worst at {least.point}, {least.condition}"
 
 
 def _loss_criteria(

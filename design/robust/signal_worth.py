@@ -88,22 +88,26 @@ class SignalWorth:
         whole, alone = self.whole, next((row for row in self.masked if row.name == OWN_MASKED), None)
         if not self.afar:
             gain = whole.inter_area - self.open_loop.inter_area
-            return f"no signal comes from another machine: the controller itself buys {gain:+.3f} inter-area"
+            return f"no signal of another machine: the controller changes inter-area damping by {gain:+.3f}"
         link = f"the link from {_listed(self.afar)}"
         if self.rival is None:
-            without = "an open loop" if alone is None else f"{alone.inter_area:.3f} masked, no fair rival"
-            why = self.remark or "the best own-signal controller is not on record: --worth designs it"
-            return f"{link}: inter-area {whole.inter_area:.3f} with it, without it {without}; {why}"
+            masked = "" if alone is None else f", {alone.inter_area:.3f} with its signals masked"
+            why = self.remark or "the best own-signal controller is not recorded: --worth designs it"
+            return f"{link}: inter-area damping {whole.inter_area:.3f} with it{masked}; {why}"
         own = self.best_own
         if own is None or self.adds is None:
-            return f"{link} buys stability: without it no controller of this order held every condition"
-        against = f"inter-area {whole.inter_area:.3f} against {own.inter_area:.3f} ({own.name})"
+            return (
+                f"{link} is necessary: no own-signal controller of this order was stable in every condition"
+            )
+        against = f"inter-area damping {whole.inter_area:.3f}, without it {own.inter_area:.3f} ({own.name})"
         against += self._clearing_in_words
         if not self.pays:
-            return f"a local stabilizer does as well: do not build {link}; {against}"
-        more = f"{link} buys {self._bought(self.adds)}: {against}"
+            return f"a local stabilizer performs as well: do not build {link}; {against}"
+        more = f"{link} adds {self._added(self.adds)}: {against}"
         if whole.common_rise is not None and own.common_rise is not None:
-            more += f", answer to the common rise {whole.common_rise:.3f} against {own.common_rise:.3f} pu"
+            more += (
+                f", response to the common speed rise {whole.common_rise:.3f} and {own.common_rise:.3f} pu"
+            )
         return more
 
     @property
@@ -112,10 +116,10 @@ class SignalWorth:
         if self.rival is None or self.adds_cycles is None:
             return "; clearing times not searched"
         ours, rivals = self.whole.clearing_cycles, self.rival.clearing_cycles
-        return f", clearing {ours:+.1f} against {rivals:+.1f} cycles"
+        return f", clearing times {ours:+.1f} and {rivals:+.1f} cycles"
 
-    def _bought(self, damping: float) -> str:
-        """What a link that pays buys."""
+    def _added(self, damping: float) -> str:
+        """What a link that pays adds."""
         parts = [f"{damping:.3f} of inter-area damping"] if damping >= PAYS else []
         cycles = self.adds_cycles
         if cycles is not None and (cycles >= PAYS_CYCLES or (parts and cycles > 0.0)):

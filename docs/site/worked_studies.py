@@ -87,23 +87,24 @@ def _local(local: Mapping[str, Any] | None) -> str:
 def words(name: str, study: Mapping[str, Any]) -> str:
     """Return the conclusion of a study, or why it has none, and what it had no time for, as a list item."""
     problem = str(study["problem"]).removeprefix(f"{study['case']}: ")
-    lines = [f"It stops: {problem}."] if study["problem"] else []
+    lines = [f"The study stopped: {problem}."] if study["problem"] else []
     if "local" in study:
         lines.append(sentence(study["local"]["sentence"]))
     if violations := (study.get("certificate") or {}).get("violations"):
-        lines.append(f"The loop misses: {'; '.join(_kinds(violations))}.")
+        lines.append(f"Violated by the loop: {'; '.join(_kinds(violations))}.")
     if study["no_time_for"]:
-        lines.append(f"No time for {len(study['no_time_for'])} parts; the first: {study['no_time_for'][0]}.")
-    return f"- `{name}`: {' '.join(lines) or 'nothing is missed.'}\n"
+        first, count = study["no_time_for"][0], len(study["no_time_for"])
+        lines.append(f"{count} parts not computed within the time limit, first: {first}.")
+    return f"- `{name}`: {' '.join(lines) or 'All requirements are met.'}\n"
 
 
 def _kinds(violations: Sequence[str]) -> list[str]:
-    """Return the first violation of each kind, and how many more are like it."""
+    """Return the first violation of each kind, and the number of similar ones."""
     kinds: dict[str, list[str]] = {}
     for line in violations:
-        known = ("inter-area damping is", "non-linear faults", "fault at", "asked not more than")
+        known = ("inter-area damping is", "non-linear faults", "fault at", "allowed decrease")
         kinds.setdefault(next((kind for kind in known if kind in line), line), []).append(line)
-    return [lines[0] + (f" (and {len(lines) - 1} like it)" if lines[1:] else "") for lines in kinds.values()]
+    return [lines[0] + (f" (and {len(lines) - 1} similar)" if lines[1:] else "") for lines in kinds.values()]
 
 
 def tables(studies: Mapping[str, Mapping[str, Any]], before: str) -> str:

@@ -39,13 +39,13 @@ def _cells(row: str) -> list[str]:
 def test_a_study_that_stops_has_its_reason_and_dashes(script: ModuleType) -> None:
     study = _study(problem="grid: the grid is unstable without control")
     assert _cells(script.row("grid", study)) == ["`grid`: 39, 10", "0.70 Hz, 0.050", *["–"] * 8]
-    assert script.words("grid", study) == "- `grid`: It stops: the grid is unstable without control.\n"
+    assert (
+        script.words("grid", study) == "- `grid`: The study stopped: the grid is unstable without control.\n"
+    )
 
 
 def test_a_whole_study_has_each_number_in_its_column(script: ModuleType) -> None:
-    late = [
-        f"local area 1 at {p} from 0.07 to 0.06: asked not more than 0.005 less" for p in ("base", "1-2 out")
-    ]
+    late = [f"local area 1 at {p} from 0.07 to 0.06: allowed decrease 0.005" for p in ("base", "1-2 out")]
     faults = {
         "lost": ["a"],
         "standing": ["b", "c"],
@@ -77,8 +77,8 @@ def test_a_whole_study_has_each_number_in_its_column(script: ModuleType) -> None
         "0.300, –",
     ]
     assert script.words("grid", study) == (
-        f"- `grid`: Build both. The loop misses: {late[0]} (and 1 like it). "
-        "No time for 2 parts; the first: clearing times.\n"
+        f"- `grid`: Build both. Violated by the loop: {late[0]} (and 1 similar). "
+        "2 parts not computed within the time limit, first: clearing times.\n"
     )
 
 

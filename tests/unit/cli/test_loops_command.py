@@ -59,7 +59,7 @@ def test_sets_are_designed_shortly(interarea) -> None:  # type: ignore[no-untype
     for one in document["designs"]:
         assert one["own"] > 0.08
         pays = one["damping"] - one["own"] >= 0.02
-        assert one["worth"].startswith("the link buys" if pays else "a local stabilizer does as well")
+        assert one["worth"].startswith("the link adds" if pays else "a local stabilizer performs as well")
     out = interarea(*given)[1]
     assert document["designs"][0]["worth"] in out
     assert "after a short design" in out and f"{dampings[0]:.3f}" in out

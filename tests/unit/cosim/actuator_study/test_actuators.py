@@ -118,15 +118,16 @@ def test_conclusions_follow_from_the_numbers() -> None:
         _cell("tcsc", "remote", 300, 0.17, lost=0.13),
     ]
     assert conclusion(cells) == [
-        "with own signals inter-area damping is LCC dc link 0.300, TCSC 0.140, SVC 0.080",
-        "with remote signals 0 ms late inter-area damping is LCC dc link 0.310, TCSC 0.270, SVC 0.120",
-        "with remote signals 300 ms late inter-area damping is TCSC 0.170, SVC 0.090",
-        "SVC: own signal 0.080, remote 0.120 at most; the link pays at 0 ms, not at 300 ms; unstable when x "
-        "is lost; 2 faults fewer are survived at 300 ms",
-        "LCC dc link: own signal 0.300, remote 0.310 at most; the own signal does as well: do not build this "
-        "link",
-        "TCSC: own signal 0.140, remote 0.270 at most; the link pays at 0, 300 ms; with x lost 0.110 at "
-        "0 ms, less than its own signal",
+        "with own signals the inter-area damping ratios are LCC dc link 0.300, TCSC 0.140, SVC 0.080",
+        "with remote signals delayed by 0 ms the inter-area damping ratios are LCC dc link 0.310, "
+        "TCSC 0.270, SVC 0.120",
+        "with remote signals delayed by 300 ms the inter-area damping ratios are TCSC 0.170, SVC 0.090",
+        "SVC: own signal 0.080, remote signals 0.120 at most; the link pays at 0 ms, not at 300 ms; "
+        "unstable when x is lost; 2 fewer faults are stable at 300 ms",
+        "LCC dc link: own signal 0.300, remote signals 0.310 at most; the own signal performs as well: do "
+        "not build this link",
+        "TCSC: own signal 0.140, remote signals 0.270 at most; the link pays at 0, 300 ms; with x lost "
+        "0.110 at 0 ms, less than with the own signal",
     ]
 
 
@@ -166,7 +167,7 @@ def test_a_fault_is_not_survived_where_the_loop_grows_later_than_the_run_shows(
         (["actuators", "--mva", "500"], "--mva 500: hvdc1 (LCC dc link) of two-area-actuators has 100 MVA"),
         (
             ["actuators", "--actuator", "flywheel"],
-            "--actuator flywheel: no kind of actuator, allowed: exciter",
+            "--actuator flywheel: not a kind of actuator, allowed: exciter",
         ),
         (["actuators", "--grid", "two-area-thesis"], "two-area-thesis: no LCC dc link in this grid"),
         (["actuators", "--grid", "kundur-pss"], "kundur-pss: no weak inter-area mode"),

@@ -225,7 +225,7 @@ def test_what_a_certificate_leaves_out_is_said() -> None:
     exempt = table.acceptance.model_copy(update={"never_lost": ("G4_dw",)})
     own = table.model_copy(update={"acceptance": exempt})
     assert "the loss of G4_dw;" in not_covered(own, own.signals, record)
-    assert "the design names none" in not_covered(load_design("robust_linear"), ("G2_dw", "G4_dw"), None)
+    assert "the design defines none" in not_covered(load_design("robust_linear"), ("G2_dw", "G4_dw"), None)
     somewhere = table.acceptance.model_copy(update={"points": ("base",)})
     part = table.model_copy(update={"acceptance": somewhere})
     others = ", ".join(point.name for point in table.point if point.name != "base")
@@ -297,11 +297,11 @@ def test_the_first_condition_that_fails_is_said() -> None:
     faults = Acceptance(6, ("tie +100, fault at bus 8, 100 ms",), (), 90.0, ()).as_dict()
     certificate = {"rows": [{**row, "stable": True}, row, row], "acceptance": faults}
     assert first_failures(certificate) == (
-        "unstable in 2 of 3 linear conditions (first: tie +100, s200); non-linear faults: 1 of 6 lost that "
-        "hold without it (first: tie +100, fault at bus 8, 100 ms), 0 gained"
+        "unstable in 2 of 3 linear conditions (first: tie +100, s200); non-linear faults: 1 of 6 lose "
+        "synchronism only with the controller (first: tie +100, fault at bus 8, 100 ms), 0 only without it"
     )
-    assert first_failures(None) == "non-linear faults: not judged"
-    assert first_failures({"rows": [{**row, "stable": True}]}) == "non-linear faults: not judged"
+    assert first_failures(None) == "non-linear faults: not computed"
+    assert first_failures({"rows": [{**row, "stable": True}]}) == "non-linear faults: not computed"
 
 
 @pytest.mark.parametrize("name", ["wdc", "cc", "ftc"])
@@ -311,7 +311,7 @@ def test_what_a_controller_of_the_study_does_not_survive_is_kept(name: str) -> N
     assert known is not None
     assert known["acceptance"]["cases"] == 576
     assert len(known["rows"]) == 18
-    assert "of 576 lost that hold without it (first: " in first_failures(known)
+    assert "of 576 lose synchronism only with the controller (first: " in first_failures(known)
     assert kept_certificate(name, CASES["tie +100"].hash) is None  # another case
     assert kept_certificate("robust", case.hash) is None  # has a record of its own
 

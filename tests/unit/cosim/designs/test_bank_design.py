@@ -86,7 +86,7 @@ def test_conditions_of_signals_that_a_member_lacks_are_refused() -> None:
     with pytest.raises(ScenarioError, match="design quick: is a bank of controllers"):
         design_controller(QUICK)
     turning = {"sides": {"G4_vs": 1.0}, "watched": {"G4_vs": "G4_dw"}, "threshold": 0.1, "follows": "tie_p"}
-    with pytest.raises(ScenarioError, match="the supervisor of a bank follows no flow"):
+    with pytest.raises(ScenarioError, match="not possible in a bank, its supervisor follows no flow"):
         design_of(QUICK | {"guard": turning})
 
 

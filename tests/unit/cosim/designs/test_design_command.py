@@ -70,7 +70,7 @@ def test_a_design_that_misses_what_was_asked_says_so_and_fails(tmp_path: Path, c
     out = tmp_path / "small.json"
     done = CliRunner().invoke(app, ["design", str(spec_file(tmp_path, 0.6)), "--out", str(out)])
     assert done.exit_code == 1
-    assert "worst swing damping is" in done.output and "asked >= 0.6" in done.output
+    assert "worst swing damping is" in done.output and "required >= 0.6" in done.output
     assert json.loads(out.read_text())["certificate"]["passed"] is False  # kept, and marked
 
 

@@ -93,7 +93,7 @@ def test_the_rival_on_record_is_recomputed_not_believed() -> None:
     assert result.rival is not None
     assert weaker.rival.inter_area < result.rival.inter_area - 0.05
     assert result.pays is False
-    assert result.sentence.startswith("a local stabilizer does as well: do not build the link from G2")
+    assert result.sentence.startswith("a local stabilizer performs as well: do not build the link from G2")
 
 
 @pytest.mark.slow
@@ -115,7 +115,7 @@ def test_compare_says_it_for_each_controller() -> None:
     assert said.exit_code == 0, said.output
     worths = json.loads(said.stdout)["worth"]
     assert list(worths) == ["robust"]
-    assert "local stabilizer does as well" in worths["robust"]
+    assert "local stabilizer performs as well" in worths["robust"]
 
 
 @pytest.mark.slow

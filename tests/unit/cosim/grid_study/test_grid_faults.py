@@ -93,7 +93,7 @@ def test_points_that_there_was_no_time_for_are_not_passed(
     assert ran == [(0.05, POINTS[-1])]
     certificate = judged.certificate or {}
     assert certificate["violations"][0] == (
-        f"non-linear faults at {POINTS[0]}: not judged, the time was over"
+        f"non-linear faults at {POINTS[0]}: not judged, time limit reached"
     )
     assert not certificate["passed"] and POINTS[0] in certificate["not_covered"]
     assert clock.left_out == [

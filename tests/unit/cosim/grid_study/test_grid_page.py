@@ -42,7 +42,7 @@ def test_what_is_missed_is_said_at_the_top() -> None:
     bad["acceptance"]["lost"] = ["base, fault at bus 7"]
     lines = headline(_study(certificate=bad))
     assert lines[2] == "It violates 2 of the requirements, first: base, fault at bus 7: synchronism lost."
-    assert lines[3].startswith("Non-linear faults: 1 of 10 lost that hold without it")
+    assert lines[3].startswith("Non-linear faults: 1 of 10 lose synchronism only with the controller")
     assert not any("violates" in line for line in headline(_study(certificate=_certificate())))
 
 

@@ -45,7 +45,7 @@ def test_each_actuator_sees_one_machine_more_that_has_no_loop(weak: WeakModes) -
     assert sees[AREA] == {"G2_vs": ("G2_dw", "G1_dw"), "G4_vs": ("G4_dw", "G3_dw")}
     assert sees[AFAR] == {"G2_vs": ("G2_dw", "G3_dw"), "G4_vs": ("G4_dw", "G1_dw")}
     _, missing = link_worth.signals_of_set(weak, _set(weak, "G3_vs", "G4_vs"))
-    assert missing == {AREA: "no machine of the area of G3 without a loop of the set"}
+    assert missing == {AREA: "no machine of the area of G3 that has no loop of the set"}
 
 
 def test_a_device_at_a_bus_has_no_signal_of_its_own() -> None:
@@ -139,16 +139,17 @@ def _rows(values: Sequence[tuple[str, int, float, float | None]]) -> LinkSet:
 
 def test_conclusions_follow_from_the_numbers() -> None:
     local = _rows([(OWN, 0, 0.30, 0.5), (AFAR, 0, 0.319, 0.9), (AFAR, 200, 0.31, None)])
-    assert "at G4 a local stabilizer does as well: do not build this link" in conclusion([local])
+    assert "at G4 a local stabilizer performs as well: do not build this link" in conclusion([local])
     link = _rows([(OWN, 0, 0.20, 0.5), (AREA, 0, 0.29, 0.5), (AFAR, 0, 0.30, 0.9), (AFAR, 200, 0.21, None)])
     assert conclusion([link]) == (
-        "at G4 the link buys 0.100 of inter-area damping at 0 ms; inter-area 0.200 without it "
-        "(a signal of the own area damps as well at 0 ms); at 200 ms a local stabilizer does as well: "
-        "do not build it for these"
+        "at G4 the link adds 0.100 of inter-area damping at 0 ms; inter-area damping without it 0.200 "
+        "(a signal of the own area performs as well at 0 ms); at 200 ms a local stabilizer performs as well: "
+        "do not build the link"
     )
     faults = _rows([(OWN, 0, 0.30, -2.0), (AFAR, 0, 0.30, 1.0), (AFAR, 200, 0.30, 0.5)])
     assert conclusion([faults]) == (
-        "at G4 the link buys 2.5 to 3.0 cycles of clearing time at 0, 200 ms; inter-area 0.300 without it"
+        "at G4 the link adds 2.5 to 3.0 cycles of clearing time at 0, 200 ms; inter-area damping "
+        "without it 0.300"
     )
 
 

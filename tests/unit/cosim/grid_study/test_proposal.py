@@ -96,7 +96,7 @@ def test_the_worst_point_that_was_left_out_is_taken_up_where_that_holds_more(
     better = searched(0.03)
     assert worst.point in better.proposal.table.point
     assert least_held(better.certificate["rows"]) > worst.least + 0.001
-    assert f"Taken up: {worst.point.name}, where the design without it holds {worst.least:.3f}." in (
+    assert f"Point {worst.point.name} added: without it the design reaches {worst.least:.3f} there." in (
         better.proposal.reasons
     )
     assert searched(-0.03) is first
@@ -198,7 +198,7 @@ def test_the_search_may_take_its_shares_of_the_time(proposal: Proposal) -> None:
 
 def test_the_design_file_says_why_and_loads_as_the_same_design(proposal: Proposal, tmp_path: Path) -> None:
     text = proposal.text()
-    assert "# Taken: G4_vs" in text
+    assert "# Selected: G4_vs" in text
     file = tmp_path / "made.toml"
     file.write_text(text, encoding="utf-8")
     assert load_design(file).model_dump() == proposal.table.model_dump()

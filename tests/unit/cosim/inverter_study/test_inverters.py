@@ -160,20 +160,18 @@ def test_the_words_follow_from_the_numbers():
         _row(FORMING, 0.8, worst_damping=0.2, worst_name="local area 1", worst_hz=1.5),
     ]
     text = "\n".join(conclusion(rows))
-    assert "from 0.60 to 1.10 Hz and its damping ratio from 0.080 to 0.050, least 0.020 at 40 %" in text
-    assert "unstable at 80 % (UNSTABLE: 2); the worst swing of all is inter-area at 40 %" in text
-    assert "the worst swing is damped less at every share" in text
+    assert "from 0.60 to 1.10 Hz and its damping ratio from 0.080 to 0.050, minimum 0.020 at 40 %" in text
+    assert "unstable at 80 % (UNSTABLE: 2); the least damped swing mode is inter-area at 40 %" in text
+    assert "the damping of the worst swing mode is lower at every share" in text
     assert "a signal of another area pays at 80 % (0.100 to 0.200)" in text
-    assert "worst swing at 80 %: grid-following 0.050, grid-forming 0.200" in text
-    assert "3 of 4 lists of modes are proven complete" in text
+    assert "damping ratio of the worst swing mode at 80 %: grid-following 0.050, grid-forming 0.200" in text
+    assert "confirms that 3 of 4 lists of modes are complete" in text
     loops = {"controlled_stable": True, "worst_damping": 0.1, **worst}
     gains = {0.0: 0.02, 0.1: 1e-8, 0.2: -1e-8, 0.3: -0.02}  # what rounding moves is no gain
     rows = [_row(FORMING, s, controlled_worst_damping=0.1 + gain, **loops) for s, gain in gains.items()]
     rows.append(_row(FORMING, 0.4, **loops | {"controlled_stable": False}))
     text = "\n".join(conclusion(rows))
-    assert (
-        "damped more at 0 %; the same at 10 %, 20 %; less at 30 %, 40 %; the loop is unstable at 40 %" in text
-    )
+    assert "is higher at 0 %; equal at 10 %, 20 %; lower at 30 %, 40 %; the loop is unstable at 40 %" in text
 
 
 @pytest.mark.slow

@@ -52,7 +52,10 @@ def test_a_gain_that_the_worst_swing_lets_pass_takes_from_another_mode(plant: La
     assert min(change.least for change in harms) > worst_without - 0.005  # what a bound on all would see
     most = max(harms, key=lambda change: change.taken)
     assert most.taken == pytest.approx(0.016, abs=1e-3)
-    assert most_taken([asdict(change) for change in harms]) == f"most is taken from {most.text}"
+    assert (
+        most_taken([asdict(change) for change in harms])
+        == f"the damping ratio decreases most for {most.text}"
+    )
     assert most.without > worst_without + 0.02
 
 
@@ -60,7 +63,7 @@ def test_what_is_calm_before_and_after_is_no_concern() -> None:
     assert ModeChange("base", "local", 1.2, 0.19, 0.12, "N").taken < 0.0
     assert ModeChange("base", "local", 1.2, 0.19, 0.05, "N").taken == pytest.approx(0.05)
     assert ModeChange("base", "local", 1.2, 0.03, 0.02, "N").taken == pytest.approx(0.01)
-    assert most_taken([asdict(ModeChange("base", "local", 1.2, 0.19, 0.12, "N"))]).startswith("no mode is")
+    assert most_taken([asdict(ModeChange("base", "local", 1.2, 0.19, 0.12, "N"))]).startswith("no mode loses")
 
 
 def test_a_mode_that_is_lost_on_its_way_counts_as_the_worst_swing(

@@ -139,7 +139,9 @@ def test_what_is_missed_is_named() -> None:
     certificate = judge_family(plants, K, normal, worst_swing=0.9, effort_cap=1e-3)
     assert not certificate.passed
     assert [v.split(" is ")[0] for v in certificate.violations] == ["worst swing damping", "effort"]
-    assert certificate.violations[0].endswith("asked >= 0.9: missed in 1 of 1, most at base, N")
+    assert certificate.violations[0].endswith(
+        "required >= 0.9: violated in 1 of 1 conditions, worst at base, N"
+    )
     turned = control.ss(K.A, K.B, -5.0 * K.C, K.D, inputs=K.input_labels, outputs=K.output_labels)
     assert "base, N: unstable" in judge_family(plants, turned, normal).violations
 

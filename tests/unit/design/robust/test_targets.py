@@ -81,8 +81,8 @@ def test_each_kind_of_condition_is_asked_for_its_own_target() -> None:
     assert certificate.violations == ()
     certificate = judge_family(plant, K, (NOW, LOST), targets={"all": (0.1, 0.2), "lost": (0.04, 0.06)})
     assert [v.partition(":")[0] for v in certificate.violations] == [
-        "inter-area damping with signals all is 0.15, asked >= 0.2",
-        "inter-area damping with signals lost is 0.05, asked >= 0.06",
+        "inter-area damping with signals all is 0.15, required >= 0.2",
+        "inter-area damping with signals lost is 0.05, required >= 0.06",
     ]
     # a point that is asked for less, whatever the conditions: .05 where it is lost; one asked for more
     two = {"base": plant["base"], "out": plant["base"]}
@@ -91,7 +91,9 @@ def test_each_kind_of_condition_is_asked_for_its_own_target() -> None:
     assert certificate.violations == ()
     certificate = judge_family(two, K, (NOW, LOST), at={"out": (0.04, 0.06)}, **asked)  # type: ignore[arg-type]
     (missed,) = certificate.violations
-    assert missed.startswith("out: inter-area damping is 0.05, asked >= 0.06: missed in 1 of 2")
+    assert missed.startswith(
+        "out: inter-area damping is 0.05, required >= 0.06: violated in 1 of 2 conditions"
+    )
 
 
 def test_a_scaled_signal_is_judged_and_asked_for_by_name() -> None:
@@ -107,7 +109,7 @@ def test_a_scaled_signal_is_judged_and_asked_for_by_name() -> None:
     assert [row.worst_swing for row in certificate.rows] == pytest.approx([0.15, 0.25, -0.05])
     assert [v.partition(":")[0] for v in certificate.violations] == [
         "base, x-1",
-        "worst swing damping is 0.15, asked >= 0.16",
+        "worst swing damping is 0.15, required >= 0.16",
         "worst swing damping under x-1",
     ]
 
