@@ -56,6 +56,7 @@ C_ORDER = [
 C_FILES = {p for p in SOURCES if p.suffix in {".c", ".h"}}
 LONGEST_FILE = 450  # lines: what a person reads in one sitting
 MOST_PATHS = 15  # through a function: what a person can test
+LONGEST_FUNCTION = 80  # lines after its signature and docstring
 MOST_MODULES = 16  # in a folder: what a person takes in at a glance
 
 
@@ -294,6 +295,19 @@ def _branches(node: ast.AST) -> int:
 def test_functions_are_simple(path: Path) -> None:
     above = {name: k for name, k in _paths_in_python(_tree(path)).items() if k > MOST_PATHS}
     assert not above, f"{_name(path)}: {above}, allowed are {MOST_PATHS} ways through a function; divide it"
+
+
+def _statement_lines(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
+    """Return how many lines follow a function's signature and docstring."""
+    first = function.body[int(ast.get_docstring(function) is not None) :]
+    return (first[-1].end_lineno or 0) - first[0].lineno + 1 if first else 0
+
+
+@_of_each(PYTHON)
+def test_functions_are_short(path: Path) -> None:
+    functions = [n for n in ast.walk(_tree(path)) if isinstance(n, ast.FunctionDef | ast.AsyncFunctionDef)]
+    above = {n.name: k for n in functions if (k := _statement_lines(n)) > LONGEST_FUNCTION}
+    assert not above, f"{_name(path)}: {above}, allowed are {LONGEST_FUNCTION} lines; divide it"
 
 
 def _paths_in_c(text: str) -> dict[str, int]:

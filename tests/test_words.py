@@ -38,6 +38,10 @@ NAMED_FILE = re.compile(
     r"(?<![\w/.-])((?:models|fmu_build|design|cosim|interarea|tests|benchmarks|docs|examples)/[\w/.-]*"
     r"\.(?:py|c|h|md|toml))\b"
 )
+#: A source file that a comment names by the end of its path.
+NAMED_SOURCE = re.compile(r"(?<![\w/.*-])((?:[\w-]+/)*[a-z][\w-]{2,}\.(?:py|c|h))\b")
+#: Sources that are generated, or of others.
+NOT_TRACKED = frozenset({"devices.h", "mach-o/fat.h", "lag.h", "malloc.h"})
 
 
 def _name(path: Path) -> str:
@@ -92,4 +96,25 @@ def test_files_that_are_named_exist() -> None:
         for path in PROSE
         for name in NAMED_FILE.findall(path.read_text(encoding="utf-8"))
         if "NAME" not in name and not (ROOT / name).is_file()
+    ]
+
+
+def _comments(path: Path) -> str:
+    """Return the comments and docstrings of a source."""
+    text = path.read_text(encoding="utf-8")
+    if path.suffix != ".py":
+        return "\n".join(re.findall(r"/\*.*?\*/|//[^\n]*", text, re.DOTALL))
+    nodes = (ast.Module, ast.ClassDef, ast.FunctionDef)
+    docstrings = [ast.get_docstring(n) or "" for n in ast.walk(ast.parse(text)) if isinstance(n, nodes)]
+    return "\n".join([*docstrings, *re.findall(r"#.*", text)])
+
+
+def test_sources_that_comments_name_exist() -> None:
+    ends = {"/".join(p.parts[k:]) for p in TRACKED for k in range(len(p.parts))} | NOT_TRACKED
+    assert not [
+        f"{_name(path)}: {name}"
+        for path in PROSE
+        if path.suffix in {".py", ".c", ".h", ".js"}
+        for name in NAMED_SOURCE.findall(_comments(path))
+        if name not in ends and not name.startswith("fmi2")
     ]

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Future
-from contextlib import ExitStack, suppress
+from concurrent.futures import Executor, Future
+from contextlib import suppress
 from dataclasses import asdict
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -58,21 +59,164 @@ from .survival import survival_record, survival_started
 
 #: Called with a stage's name and how much of it is done, 0..1.
 StageProgress = Callable[[str, float], None]
-STAGES = (
-    "plant",
-    "modes and loops",
-    "reduction",
-    "controllers",
-    "latency",
-    "methods",
-    "co-simulation",
-    "packets",
-    "survival",
-    "figures",
-    "second solver",
-    "explorer",
-    "report",
-)
+Done = Callable[[float], None]
+
+
+class _Study:
+    """A study in progress: each stage is a method, called with what reports how much of it is done, 0..1.
+
+    beside : processes that compile, try the faults and solve a second time while this one goes on.
+    """
+
+    def __init__(self, name: str, beside: Executor, folder: Path, second_solver: bool) -> None:
+        self.name, self.beside, self.folder = name, beside, folder
+        self.spec = load_study(name)
+        self.specs = design_specs(self.spec)
+        self.cache = default_cache()
+        self.solved_again = second_solver
+        self.case = load_case(self.spec["case"])
+        self.explorer = folder / "explorer.html"
+        self.controllers: dict[str, Controller] = {}
+        self.unreduced: dict[str, Controller] = {}
+
+    def plant(self, done: Done) -> None:
+        case, cache = self.case, self.cache
+        self.flow = solve_powerflow(case)
+        self.fmus = {"plant": plant_fmu(case, cache), "channel": channel_fmu(cache)}
+        # processes beside need nothing but what the cache holds by the time they are asked
+        survival = "survival" in self.spec
+        self.beside.submit(_compile, self.spec["case"], survival, cache)  # most of it is the plant's
+        done(0.5)
+        self.full = linear_plant(case, cache)
+
+    def modes_and_loops(self, _: Done) -> None:
+        self.relative = remove_reference(self.full)
+        self.modes = modes_of(self.relative, self.case.areas)
+        self.loops = rank_loops(self.relative, self.modes.inter_area, areas=self.case.areas)
+        self.in_rad = speeds_in_rad(self.relative, self.case.omega_b)
+
+    def reduction(self, _: Done) -> None:
+        self.reductions = _reductions(self.spec, self.in_rad, [self.loops.selected.actuator])
+
+    def design(self, done: Done) -> None:
+        """Design the controllers, then start what the other processes are to do."""
+        case, cache, specs = self.case, self.cache, self.specs
+        for k, label in enumerate(self.spec["controllers"]):
+            self.controllers[label] = design_controller(case, label, cache, specs=specs)
+            self.unreduced[label] = design_controller(case, label, cache, reduce=False, specs=specs)
+            self.fmus[label] = controller_fmu(self.controllers[label], case.omega_b, cache)
+            done((k + 1) / len(self.spec["controllers"]))
+        self._start_beside()
+
+    def _start_beside(self) -> None:
+        spec, specs, cache, submit = self.spec, self.specs, self.cache, self.beside.submit
+        name, labels = spec["case"], list(self.controllers)
+        packets = spec.get("packets")
+        self.methods_beside = submit(method_record, name, labels, spec["remote"], specs, cache)
+        self.losses = packets and submit(mean_square_record, name, labels, packets, specs, cache)
+        self.page = submit(_explorer, name, labels, specs, self.explorer, cache)
+        self.faults = survival_started(spec, specs, self.folder, cache, self.beside)
+        again = self.solved_again
+        self.opinion = submit(second_solver_record, name, labels, specs, cache) if again else None
+
+    def latency(self, done: Done) -> None:
+        spec, cache = self.spec, self.cache
+        delayed, base = spec["latency"]["controller"], self.specs.get("wdc", WdcSpec())
+        assert isinstance(base, WdcSpec)
+        controller, asked = self.controllers[delayed], dict(spec["latency"])
+        code = code_hash(latency_analysis.__module__)
+        key = content_hash(self.fmus["plant"].name, self.fmus[delayed].name, asked, asdict(base), code)
+
+        def analysed() -> dict[str, Any]:
+            return latency_analysis(self.in_rad, controller, spec, self.modes, done)
+
+        def designed_again() -> Any:
+            return redesigned(self.relative, controller, self.case.omega_b, asked.get("redesign", ()), base)
+
+        def approximated() -> Any:
+            return pade_record(self.in_rad, controller, spec, self.delay)
+
+        self.delay = cached_json(cache, "latency", key, analysed)
+        again = cached_json(cache, "latency", f"redesigned-{key}", designed_again)
+        self.delay["synchronous"]["redesigned"] = again
+        self.pade = cached_json(cache, "latency", f"pade-{key}", approximated)
+
+    def methods(self, _: Done) -> None:
+        self.method_rows = self.methods_beside.result()
+
+    def co_simulation(self, done: Done) -> None:
+        documents = scenario_documents(self.spec, self.delay["synchronous"]["margin_s"])
+        self.runs = run_all(documents, self.controllers, self.cache, done)
+
+    def packets(self, done: Done) -> None:
+        losses = self.losses
+        self.packet_rows = losses and _packets(self.spec, losses, self.controllers, self.cache, done)
+
+    def survival(self, done: Done) -> None:
+        self.survived = survival_record(self.spec, self.faults, done)
+
+    def figures(self, done: Done) -> None:
+        self.parts = StudyParts(
+            self.spec,
+            self.case,
+            self.flow,
+            modes_of(self.full, self.case.areas),
+            self.in_rad,
+            self.reductions,
+            self.controllers,
+            {label: controller.system for label, controller in self.unreduced.items()},
+            self.delay,
+            self.runs,
+        )
+        self.drawn = save_figures(self.parts, self.cache, f"figures/{_figure_key(self.parts)}", done)
+
+    def second_solver(self, _: Done) -> None:
+        self.second = None if self.opinion is None else self.opinion.result()
+
+    def link_explorer(self, _: Done) -> None:
+        self.presets = self.page.result()
+
+    def report(self, _: Done) -> None:
+        fmus = {label: complete_fmu(path, self.cache) for label, path in self.fmus.items()}
+        study = self.rows = rows.study_rows(self.parts, self.loops, self.full.nstates)
+        study["modes_without_stabilizers"] = rows.modes_without_stabilizers(self.case, self.cache)
+        study["packets"] = self.packet_rows
+        study["survival"] = self.survived
+        study["methods"] = self.method_rows
+        study["pade"] = self.pade
+        study["explorer"] = self.presets
+        study["second_solver"] = self.second
+        study["figures"] = {key: f"figures/{path.name}" for key, path in self.drawn.items()}
+        study["provenance"] = _provenance(self.name, self.parts, fmus)
+        study["loops"]["coordinate_table"] = lead_by_coordinates(
+            self.relative, self.loops, self.modes.inter_area.eigenvalue
+        )
+        study["figure_list"] = _figure_list(self.spec, self.drawn)
+        if "claims" in self.spec:
+            study |= _judged(Path(self.spec["claims"]), study)
+        self.placed = {f"fmus/{label}.fmu": path for label, path in fmus.items()}
+        self.placed |= {f"results/{label}.parquet": run.trajectory for label, run in self.runs.items()}
+        self.placed |= {study["figures"][key]: path for key, path in self.drawn.items()}
+        self.placed[self.explorer.name] = self.explorer
+
+
+#: In the order in which they run, by the names under which their progress is reported.
+_STAGES: dict[str, Callable[[_Study, Done], None]] = {
+    "plant": _Study.plant,
+    "modes and loops": _Study.modes_and_loops,
+    "reduction": _Study.reduction,
+    "controllers": _Study.design,
+    "latency": _Study.latency,
+    "methods": _Study.methods,
+    "co-simulation": _Study.co_simulation,
+    "packets": _Study.packets,
+    "survival": _Study.survival,
+    "figures": _Study.figures,
+    "second solver": _Study.second_solver,
+    "explorer": _Study.link_explorer,
+    "report": _Study.report,
+}
+STAGES = tuple(_STAGES)
 
 
 def run_study(
@@ -82,8 +226,6 @@ def run_study(
 
     second_solver : whether every LMI is solved by Clarabel too.
 
-    Two processes beside compile, try the faults and solve a second time while this one goes on.
-
     Writes fmus/*.fmu, figures/*.svg, results/*.parquet, report.html, explorer.html and study.json.
 
     Raises
@@ -91,153 +233,16 @@ def run_study(
     ScenarioError : no such study, or a key of it is wrong. CaseError, BuildError, FmuError,
     InfeasibleDesign, UncertifiedDesign, StepError : as the step that failed says.
     """
-    spec = load_study(name)
-    specs = design_specs(spec)
-    cache = default_cache()
     reported = progress or (lambda _stage, _done: None)
-
-    def stage(label: str) -> Callable[[float], None]:
-        reported(label, 0.0)
-        return lambda done: reported(label, done)
-
-    with one_thread(), ExitStack() as ending:
-        done = stage("plant")
-        # processes beside need nothing but what the cache holds by the time they are asked
-        beside = ending.enter_context(process_pool(2))
-        case = load_case(spec["case"])
-        flow = solve_powerflow(case)
-        fmus = {"plant": plant_fmu(case, cache), "channel": channel_fmu(cache)}
-        beside.submit(_compile, spec["case"], "survival" in spec, cache)  # most of it is the plant's
-        done(0.5)
-        full = linear_plant(case, cache)
-        done(1.0)
-
-        done = stage("modes and loops")
-        relative = remove_reference(full)
-        relative_modes = modes_of(relative, case.areas)
-        loops = rank_loops(relative, relative_modes.inter_area, areas=case.areas)
-        plant = speeds_in_rad(relative, case.omega_b)
-        done(1.0)
-
-        done = stage("reduction")
-        actuator = [loops.selected.actuator]
-        reductions = _reductions(spec, plant, actuator)
-        done(1.0)
-
-        done = stage("controllers")
-        controllers, unreduced = {}, {}
-        for k, label in enumerate(spec["controllers"]):
-            controllers[label] = design_controller(case, label, cache, specs=specs)
-            unreduced[label] = design_controller(case, label, cache, reduce=False, specs=specs)
-            fmus[label] = controller_fmu(controllers[label], case.omega_b, cache)
-            done((k + 1) / len(spec["controllers"]))
-
-        names = list(controllers)
-        waiting = beside.submit(method_record, spec["case"], names, spec["remote"], specs, cache)
-        losses = (
-            beside.submit(mean_square_record, spec["case"], names, spec["packets"], specs, cache)
-            if "packets" in spec
-            else None
-        )
-        folder = ending.enter_context(temporary_folder())
-        explorer = folder / "explorer.html"
-        page = beside.submit(_explorer, spec["case"], names, specs, explorer, cache)
-        faults = survival_started(spec, specs, folder, cache, beside)
-        opinion = (
-            beside.submit(second_solver_record, spec["case"], names, specs, cache) if second_solver else None
-        )
-
-        done = stage("latency")
-        delayed, base = spec["latency"]["controller"], specs.get("wdc", WdcSpec())
-        assert isinstance(base, WdcSpec)
-        key = content_hash(
-            fmus["plant"].name,
-            fmus[delayed].name,
-            dict(spec["latency"]),
-            asdict(base),
-            code_hash(latency_analysis.__module__),
-        )
-        delay = cached_json(
-            cache,
-            "latency",
-            key,
-            lambda: latency_analysis(plant, controllers[delayed], spec, relative_modes, done),
-        )
-        delay["synchronous"]["redesigned"] = cached_json(
-            cache,
-            "latency",
-            f"redesigned-{key}",
-            lambda: redesigned(
-                relative, controllers[delayed], case.omega_b, spec["latency"].get("redesign", ()), base
-            ),
-        )
-        pade = cached_json(
-            cache, "latency", f"pade-{key}", lambda: pade_record(plant, controllers[delayed], spec, delay)
-        )
-        done(1.0)
-
-        done = stage("methods")
-        methods = waiting.result()
-        done(1.0)
-
-        done = stage("co-simulation")
-        runs = run_all(scenario_documents(spec, delay["synchronous"]["margin_s"]), controllers, cache, done)
-
-        done = stage("packets")
-        packets = None if losses is None else _packets(spec, losses, controllers, cache, done)
-
-        done = stage("survival")
-        survival = survival_record(spec, faults, done)
-        done(1.0)
-
-        done = stage("figures")
-        parts = StudyParts(
-            spec,
-            case,
-            flow,
-            modes_of(full, case.areas),
-            plant,
-            reductions,
-            controllers,
-            {label: parts_of_study.system for label, parts_of_study in unreduced.items()},
-            delay,
-            runs,
-        )
-        drawn = save_figures(parts, cache, f"figures/{_figure_key(parts)}", done)
-        shown = {key: path.with_suffix(".html") for key, path in drawn.items()}
-
-        done = stage("second solver")
-        second = None if opinion is None else opinion.result()
-        done(1.0)
-
-        done = stage("explorer")
-        presets = page.result()
-        done(1.0)
-
-        done = stage("report")
-        fmus = {label: complete_fmu(path, cache) for label, path in fmus.items()}
-        study = rows.study_rows(parts, loops, full.nstates)
-        study["modes_without_stabilizers"] = rows.modes_without_stabilizers(case, cache)
-        study["packets"] = packets
-        study["survival"] = survival
-        study["methods"] = methods
-        study["pade"] = pade
-        study["explorer"] = presets
-        study["second_solver"] = second
-        study["figures"] = {key: f"figures/{path.name}" for key, path in drawn.items()}
-        study["provenance"] = _provenance(name, parts, fmus)
-        study["loops"]["coordinate_table"] = lead_by_coordinates(
-            relative, loops, relative_modes.inter_area.eigenvalue
-        )
-        study["figure_list"] = _figure_list(spec, drawn)
-        if "claims" in spec:
-            study |= _judged(Path(spec["claims"]), study)
-        placed = {f"fmus/{label}.fmu": path for label, path in fmus.items()}
-        placed |= {f"results/{label}.parquet": run.trajectory for label, run in runs.items()}
-        placed |= {study["figures"][key]: path for key, path in drawn.items()}
-        _write(study, {**placed, explorer.name: explorer}, shown, out)
-        done(1.0)
-        return study
+    with one_thread(), process_pool(2) as beside, temporary_folder() as folder:
+        study = _Study(name, beside, folder, second_solver)
+        for label, stage in _STAGES.items():
+            reported(label, 0.0)
+            stage(study, partial(reported, label))
+            reported(label, 1.0)
+        shown = {key: path.with_suffix(".html") for key, path in study.drawn.items()}
+        _write(study.rows, study.placed, shown, out)
+        return study.rows
 
 
 def _write(

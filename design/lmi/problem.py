@@ -5,7 +5,7 @@
 
 Variables V are real matrices, scalars g real numbers; C_k and D_kg are real
 symmetric or complex Hermitian. A transpose needs no type of its own:
-``L V^T R + h.c. = R^H V L^H + h.c.``. `lmi.py` writes such problems as the
+``L V^T R + h.c. = R^H V L^H + h.c.``. `expressions.py` writes such problems as the
 papers do, `solve.py` solves them with one of the engines.
 """
 

@@ -2,7 +2,7 @@
 
 Engines
 -------
-structured : the primal-dual interior-point method of `interior_point.py`, which keeps
+structured : the primal-dual interior-point method of `interior_point`, which keeps
     the products L V R; the default at every size.
 clarabel : cvxpy + Clarabel, generic; the cross-check.
 

@@ -49,7 +49,7 @@ def new(
     if kind not in there:
         raise UserError(f"new {kind}: no such kind of file; {nearest(kind, sorted(there))}")
     source = there[kind]
-    suffix = f".{source.name.split('.')[1]}"  # test.py.txt: no module of the package
+    suffix = f".{source.name.split('.')[1]}"  # the name of a template of Python ends in .py.txt
     if out.suffix != suffix:
         raise UserError(f"--out {out}: a {kind} is a {suffix} file, allowed: a name that ends so")
     if file_for(out).exists():

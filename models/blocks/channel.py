@@ -1,4 +1,4 @@
-"""A communication channel for one signal, as a block for the FMU builder (semantics: channel/channel.h)."""
+"""A communication channel for one signal, as a block for the FMU builder (c/channel/channel.c)."""
 
 from __future__ import annotations
 
@@ -60,41 +60,8 @@ def signal_fault_variables(fault: str) -> list[Variable]:
     ]
 
 
-def channel_block(
-    name: str = "channel",
-    *,
-    capacity: int = 4096,
-    unit: str = "pu",
-    step_s: float = 0.01,
-    documentation: Mapping[str, str] | None = None,
-) -> Block:
-    r"""Return the block of a channel: :math:`y(t) = u(t - \mathrm{latency})` unless the signal is lost.
-
-    Everything else is an FMI parameter: ``latency`` (s), ``on_loss`` (`ON_LOSS`),
-    ``hold_time`` (s), ``outage[k].start`` and ``outage[k].end`` (s, k = 1..8; a
-    window with start = end is off), ``reporting_interval`` (s; 0: continuous),
-    ``jitter`` (s, uniform), ``quantile[j]`` (s, j = 1..33, see `quantiles_of`),
-    ``quantum``, ``pdc_wait`` (s), ``loss_good``, ``loss_bad``, ``good_to_bad``,
-    ``bad_to_good`` (probabilities per packet), ``seed`` and, k = 1..4, ``fault[k].kind`` (`SIGNAL_FAULT`),
-    ``.start``, ``.end`` (s), ``.size``, ``.detail``. Outputs ``y``, the age
-    of its information ``age`` (s), the Boolean ``valid`` and the packet counts
-    ``sent``, ``delivered``, ``dropped``, ``late``.
-
-    Parameters
-    ----------
-    name : model name, a C identifier.
-    capacity : communication points that are remembered; latency / step must stay below it.
-    unit : unit of input and output.
-    step_s : communication step of the DefaultExperiment, s.
-
-    Raises
-    ------
-    ValueError : capacity below 2 or above 1 000 000.
-    """
-    if not 2 <= capacity <= 1_000_000:
-        raise ValueError(
-            f"channel {name}: capacity is {capacity}, allowed are 2 to 1000000 communication points"
-        )
+def _variables(unit: str) -> list[Variable]:
+    """Return the variables in the order of their value references."""
     variables = [
         Variable("u", "input", "Signal sent", unit=unit, start=0.0),
         Variable("y", "output", "Signal received", unit=unit, depends_on=("u",)),
@@ -102,6 +69,15 @@ def channel_block(
             "age", "output", "Time since the newest received value was sampled", unit="s", depends_on=()
         ),
         Variable("valid", "output", "Whether the signal arrives", type="Boolean", depends_on=()),
+        *(
+            Variable(name, "output", f"Packets {what} so far", type="Integer", depends_on=())
+            for name, what in (
+                ("sent", "sent"),
+                ("delivered", "delivered with the newest time stamp"),
+                ("dropped", "lost on the way or in an outage"),
+                ("late", "that came after a newer one or after the concentrator's wait"),
+            )
+        ),
         Variable(
             "latency",
             "parameter",
@@ -122,15 +98,6 @@ def channel_block(
             min=0.0,
             tunable=True,
         ),
-    ]
-    variables[4:4] = [
-        Variable(name, "output", f"Packets {what} so far", type="Integer", depends_on=())
-        for name, what in (
-            ("sent", "sent"),
-            ("delivered", "delivered with the newest time stamp"),
-            ("dropped", "lost on the way or in an outage"),
-            ("late", "that came after a newer one or after the concentrator's wait"),
-        )
     ]
     for k in range(1, OUTAGES + 1):
         for key, text in (("start", f"Start of outage {k}"), ("end", f"End of outage {k}, itself outside")):
@@ -170,11 +137,49 @@ def channel_block(
     )
     for k in range(1, SIGNAL_FAULTS + 1):
         variables += signal_fault_variables(f"fault[{k}]")
+    return variables
+
+
+def channel_block(
+    name: str = "channel",
+    *,
+    capacity: int = 4096,
+    unit: str = "pu",
+    step_s: float = 0.01,
+    documentation: Mapping[str, str] | None = None,
+) -> Block:
+    r"""Return the block of a channel: :math:`y(t) = u(t - \mathrm{latency})` unless the signal is lost.
+
+    Everything else is an FMI parameter: ``latency`` (s), ``on_loss`` (`ON_LOSS`),
+    ``hold_time`` (s), ``outage[k].start`` and ``outage[k].end`` (s, k = 1..8; a
+    window with start = end is off), ``reporting_interval`` (s; 0: continuous),
+    ``jitter`` (s, uniform), ``quantile[j]`` (s, j = 1..33, see `quantiles_of`),
+    ``quantum``, ``pdc_wait`` (s), ``loss_good``, ``loss_bad``, ``good_to_bad``,
+    ``bad_to_good`` (probabilities per packet), ``seed`` and, k = 1..4, ``fault[k].kind`` (`SIGNAL_FAULT`),
+    ``.start``, ``.end`` (s), ``.size``, ``.detail``. Outputs ``y``, the age
+    of its information ``age`` (s), the Boolean ``valid`` and the packet counts
+    ``sent``, ``delivered``, ``dropped``, ``late``.
+
+    Parameters
+    ----------
+    name : model name, a C identifier.
+    capacity : communication points that are remembered; latency / step must stay below it.
+    unit : unit of input and output.
+    step_s : communication step of the DefaultExperiment, s.
+
+    Raises
+    ------
+    ValueError : capacity below 2 or above 1 000 000.
+    """
+    if not 2 <= capacity <= 1_000_000:
+        raise ValueError(
+            f"channel {name}: capacity is {capacity}, allowed are 2 to 1000000 communication points"
+        )
     return Block(
         kind="channel",
         name=name,
         description="Communication channel: exact latency, packets, loss, outages, rule on loss",
-        table=VariableTable(variables),
+        table=VariableTable(_variables(unit)),
         data={"capacity": np.array([capacity], dtype=np.int32)},
         sources=(*(_FOLDER / f"{part}.c" for part in _PARTS), _FOLDER.parent / "block" / "random.c"),
         step_s=step_s,

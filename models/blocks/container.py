@@ -1,4 +1,4 @@
-"""A plant, its controller and the channels between them as one block (semantics: loop/loop.h)."""
+"""A plant, its controller and the channels between them as one block (c/container/closed_loop.h)."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ from .sizes import QUANTILES
 
 JITTER, TABLE, STATE, LOSS = 1, 2, 3, 4  #: purposes of a random number, as in packets.c
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
-_SLACK_S = 1e-10  # TIME_SLACK of channel.h
+_SLACK_S = 1e-10  # TIME_SLACK of channel_variables.h
 Array = npt.NDArray[np.float64]
 
 

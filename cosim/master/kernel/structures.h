@@ -48,7 +48,7 @@ typedef struct {
     int32_t signal, type;
 } KernelFeed;
 
-/* fmi2DoStep of several instances at once (lane_library.h): status[i] for component c[i] from
+/* fmi2DoStep of several instances at once (fmu_group.h): status[i] for component c[i] from
  * time[i] over length[i]; slopes: output slopes will be read. */
 typedef void KernelLanes(void *work, size_t n, const fmi2Component c[], const fmi2Real time[],
                          const fmi2Real length[], int slopes, fmi2Status status[]);

@@ -6,7 +6,7 @@ Solves a `Problem`
 
 whose multipliers Z_k >= 0 satisfy F*(Z) = c, by an infeasible-start predictor-corrector
 method (Mehrotra) in the Nesterov-Todd direction. The Schur complement keeps the Kronecker structure of
-the matrix variables (`interior_point_schur.py`); what remains is one Cholesky factor of
+the matrix variables (`schur.py`); what remains is one Cholesky factor of
 size m. Once C + F(y) has a Cholesky factor it *is* S, and every later y is strictly feasible.
 
 Where no y satisfies the inequalities, Z tends to a certificate: F*(Z) = 0 and <C, Z> < 0.
