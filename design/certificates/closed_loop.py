@@ -165,14 +165,14 @@ def _delayed_poles(
                 delayed_poles = track_gain(loop, modes[name].eigenvalue)
             except DelayError as error:
                 raise UncertifiedDesign(
-                    f"condition {condition.name!r}: the pole of mode {name!r} was lost on its way from the "
-                    f"open loop ({error}); its damping is not known, so this controller is not certified"
+                    f"condition {condition.name!r}: the pole of mode {name!r} could not be tracked from "
+                    f"the open loop ({error}); its damping is unknown, so this controller is not certified"
                 ) from error
         twin = _taken(delayed_poles, followed)
         if twin is not None:
             raise UncertifiedDesign(
-                f"condition {condition.name!r}: modes {twin!r} and {name!r} both lead to the pole "
-                f"{delayed_poles:.6g}; one of them is not known, so this controller is not certified"
+                f"condition {condition.name!r}: modes {twin!r} and {name!r} are both tracked to the pole "
+                f"{delayed_poles:.6g}; one of them is unknown, so this controller is not certified"
             )
         followed[name] = delayed_poles
     return followed

@@ -115,8 +115,8 @@ class LargePlant:
             twins = [n for n, s in ends.items() if n != mode.name and abs(s - end) <= 1e-7 * (1.0 + abs(end))]
             if twins:
                 raise UncertifiedDesign(
-                    f"condition {condition.name!r}: modes {twins[0]!r} and {mode.name!r} both lead to "
-                    f"{end:.6g}; one of them is not known, so this controller is not certified"
+                    f"condition {condition.name!r}: modes {twins[0]!r} and {mode.name!r} are both "
+                    f"tracked to {end:.6g}; one of them is unknown, so this controller is not certified"
                 )
         return ends
 
@@ -146,9 +146,9 @@ class LargePlant:
                 step *= 0.5
             if not step >= _SHORTEST or tries > _MOST_STEPS:
                 raise UncertifiedDesign(
-                    f"condition {condition.name!r}: {mode.name!r} was lost at {gain:.4g} of the loop's gain, "
-                    f"near {s:.6g}, on its way from the open loop; its damping is not known, so this "
-                    "controller is not certified"
+                    f"condition {condition.name!r}: {mode.name!r} could not be tracked beyond {gain:.4g} "
+                    f"of the loop gain, near {s:.6g}; its damping is unknown, so this controller is not "
+                    "certified"
                 )
         return s
 

@@ -210,7 +210,7 @@ def _scales(
 def in_words(margins: Sequence[Mapping[str, Any]]) -> list[str]:
     """Return a certificate's margins in two lines, of latency and of scale; the narrowest of many."""
     if not margins:
-        return ["no margin of a signal: the loop is unstable as it is, or answers none"]
+        return ["no signal margins: the loop is unstable, or does not respond to its signals"]
     late = sorted(
         margins, key=lambda m: (m["signal"] != ALL, m["delay"]["value"] if m["delay"] else SEARCHED_S)
     )

@@ -196,7 +196,7 @@ def switching_certificate(
     if not abscissa[worst] < 0.0:
         raise UncertifiedDesign(
             f"bank {bank.name}: the loop {worst!r} (active member: signals that arrive) has the pole "
-            f"{abscissa[worst]:.4g} 1/s; milder members, or a member for that set of signals, are needed"
+            f"{abscissa[worst]:.4g} 1/s; use members with less gain, or add a member for that set of signals"
         )
     slowest = -abscissa[worst]
     rate = _reachable_rate(plant, bank, slowest, search_order)

@@ -29,7 +29,7 @@ def shipped_bank(name: str) -> ControllerBank:
     from .controller import ControllerError
 
     if name not in shipped_banks():
-        raise ControllerError(f"bank {name!r} is not shipped, allowed: {', '.join(shipped_banks())}")
+        raise ControllerError(f"bank {name!r} is not bundled, allowed: {', '.join(shipped_banks())}")
     return ControllerBank.load(FOLDER / f"{BANK}{name}.json")
 
 
@@ -41,5 +41,5 @@ def shipped_controller(name: str) -> Controller:
     from .controller import Controller, ControllerError  # control takes a second: names alone need it not
 
     if name not in shipped_names():
-        raise ControllerError(f"controller {name!r} is not shipped, allowed: {', '.join(shipped_names())}")
+        raise ControllerError(f"controller {name!r} is not bundled, allowed: {', '.join(shipped_names())}")
     return Controller.load(FOLDER / f"{name}.json")

@@ -135,7 +135,7 @@ class Controller:
         unnamed = [n for n in (*system.input_labels, *system.output_labels) if "[" in n]
         if unnamed:
             raise ControllerError(
-                f"controller: {', '.join(unnamed)} are no names of signals and actuators; name them: "
+                f"controller: {', '.join(unnamed)} are not names of signals and actuators; name them: "
                 'control.ss(A, B, C, D, inputs=["G2_dw"], outputs=["G4_vs"]), rad/s to pu'
             )
         return cls(system.name if str(system.name).isidentifier() else "controller", system)
@@ -316,7 +316,7 @@ def matrices_of_parameters(
     """
     orders = [int(m[1]) for n in starts if (m := re.fullmatch(r"A\[(\d+),\1\]", n))]
     if not orders:
-        raise ControllerError("has no parameter A[1,1]: no linear controller")
+        raise ControllerError("has no parameter A[1,1]: not a linear controller")
     n = max(orders)
 
     def matrix(letter: str, rows: int, columns: int) -> Any:

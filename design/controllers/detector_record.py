@@ -91,7 +91,7 @@ def load_detector(path: str | Path) -> DetectorDesign:
     except DocumentError as error:
         raise DetectorDesignError(f"{error}; `DetectorDesign.save` writes one") from None
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise DetectorDesignError(f"{path}: no file of a detector ({error}); design one") from None
+        raise DetectorDesignError(f"{path}: not a detector file ({error}); design a detector") from None
 
 
 def windows(curves: Array, frames: int, samples: int) -> Array:

@@ -171,7 +171,7 @@ def rightmost_roots(
         before = values[result]
         nodes = int(1.5 * nodes)
     raise DelayError(
-        f"the roots right of {right_of:g} 1/s did not settle with {nodes} nodes; the latency {longest:g} s "
+        f"the roots right of {right_of:g} 1/s did not converge with {nodes} nodes; the latency {longest:g} s "
         "spans too many periods of the fastest of them: ask for roots further right"
     )
 
@@ -303,7 +303,7 @@ def track_gain(loop: DelayedLoop, start: complex, *, step: float = 0.02) -> comp
 def _root_near(loop: DelayedLoop, start: complex, what: str) -> tuple[complex, ComplexMatrix]:
     s, v, error = newton(loop, start)
     if not error <= 1e-10 or abs(s - start) > 1e-2 * (1.0 + abs(start)):
-        raise DelayError(f"{start:.6g} is not a root of {what} (nearest found {s:.6g})")
+        raise DelayError(f"{start:.6g} is not a root of {what} (nearest root {s:.6g})")
     return s, v
 
 

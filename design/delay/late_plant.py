@@ -199,8 +199,8 @@ def _with_pade(
     each = np.ceil(highest * latency_s / _TURNS)
     if not each.sum() <= _SECTIONS:
         raise ModeError(
-            f"signals {latency_s.max():g} s late and modes up to {highest / (2.0 * np.pi):g} Hz: too many "
-            "turns for a search; lower the band or the latency"
+            f"signals {latency_s.max():g} s late and modes up to {highest / (2.0 * np.pi):g} Hz: too "
+            "many phase turns for the search; reduce the band or the latency"
         )
     for k, (latency, sections) in enumerate(zip(latency_s, each.astype(int), strict=True)):
         for _ in range(sections):

@@ -68,8 +68,8 @@ def linearise(
     worst = int(np.argmax(np.where(np.isfinite(dx0), np.abs(dx0), np.inf))) if x0.size else 0
     if x0.size and not abs(dx0[worst]) <= rest:
         raise LinearisationError(
-            f"the plant is not at rest: d {states[worst]}/dt = {dx0[worst]:.3g} at its operating point, "
-            f"allowed is {rest:g}; solve the equilibrium before linearising"
+            f"the plant is not in equilibrium: d {states[worst]}/dt = {dx0[worst]:.3g} at its operating "
+            f"point; allowed: {rest:g}; solve the equilibrium before linearising"
         )
     A, B, C, D = (np.asarray(M, dtype=float) for M in plant.jacobians())
     exact = np.block([[A, B], [C, D]])
@@ -215,7 +215,7 @@ def remove_reference(system: Linear, *, tolerance: float = 1e-7) -> Linear:
         if not drift[worst] <= tolerance * scale[worst]:
             row = names[worst] if what == "A" else list(system.output_labels)[worst]
             raise LinearisationError(
-                f"the angles have a reference already: turning all rotors together moves {row} by "
+                f"the angles have a reference already: a common rotation of all rotors moves {row} by "
                 f"{drift[worst]:.3g} per rad (allowed {tolerance * scale[worst]:.1g}); an infinite bus or an "
                 "absolute angle output has no zero mode to remove"
             )

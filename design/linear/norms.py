@@ -218,7 +218,7 @@ def hinf_of(A: Matrix, B: Matrix, C: Matrix, D: Matrix, *, tolerance: float = 1e
             best, where = float(-peak.fun), float(peak.x)
     else:
         raise ArithmeticError(
-            "the H-infinity iteration did not settle in 60 steps; the state matrix is ill-scaled"
+            "the H-infinity iteration did not converge in 60 steps; the state matrix is ill-scaled"
         )
     return PeakGain((1.0 + 2.0 * tolerance) * best, where, 2.0 * tolerance)
 

@@ -350,7 +350,7 @@ def _device_blocks(
     dx = np.array([slopes.slopes(none_x, np.where(on, 1.0, 0.0), none_v)[0] for on in (~second, second)])
     for M in (A, B, C, D, dx):
         if not np.all(np.isfinite(M)):
-            raise SparsePlantError("derivatives of the plant's devices at rest are not all finite")
+            raise SparsePlantError("derivatives of the plant's devices at the equilibrium are not all finite")
     k, i = np.nonzero(place == n)
     A[k, i, i] = _PAD
     return _Blocks(A, B.reshape(K, m, 2 * ends), C.reshape(K, 2 * ends, m), D, dx)

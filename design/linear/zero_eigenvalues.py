@@ -58,7 +58,7 @@ class ZeroEigenvalues:
 
     @property
     def count(self) -> int:
-        """How many eigenvalues 0 these are; governors that integrate bring the rotation's."""
+        """Number of these zero eigenvalues; governors that integrate include that of the rotation."""
         turning = int(self.rotation and not self.governors)
         return turning + int(self.common_speed) + int(self.rows.shape[0]) + len(self.infinite)
 
@@ -77,35 +77,36 @@ class ZeroEigenvalues:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Each kind in words."""
+        """Each kind, as a sentence."""
         message = []
         if self.rotation:
             message.append(
-                "rotation: turning all rotors together moves nothing; its eigenvalue 0 is no instability"
+                "rotation: a common rotation of all rotors changes no flow; its eigenvalue 0 is not an "
+                "instability"
             )
         if self.common_speed:
-            message.append("common speed: no torque brings it back; its eigenvalue 0 is no instability")
+            message.append("common speed: no torque restores it; its eigenvalue 0 is not an instability")
         if self.shared_bus:
             paths = [f"{n} at bus {bus} ({_few(names)})" for bus, (names, n) in self.shared_bus.items()]
             total = sum(n for _, n in self.shared_bus.values())
             message.append(
-                "shared buses: exciters that integrate the voltage of one bus can trade output between them; "
-                f"{_times(total)} eigenvalue 0 by that, no instability: {_few(paths, 4)}"
+                "shared buses: exciters that integrate the voltage of one bus can exchange output; "
+                f"{_times(total)} eigenvalue 0 from this, not an instability: {_few(paths, 4)}"
             )
         if len(self.governors) > 1:
             message.append(
-                f"governors that integrate the speed ({_few(self.governors)}) can trade power between them; "
-                f"{_times(len(self.governors) - 1)} eigenvalue 0 by that, no instability"
+                f"governors that integrate the speed ({_few(self.governors)}) can exchange power; "
+                f"{_times(len(self.governors) - 1)} eigenvalue 0 from this, not an instability"
             )
         if self.infinite:
             message.append(
-                f"infinite buses ({_few(self.infinite)}): angle and speed of each stay as they are, "
-                f"{_times(2 * len(self.infinite))} eigenvalue 0, no instability"
+                f"infinite buses ({_few(self.infinite)}): angle and speed of each are constant, "
+                f"{_times(2 * len(self.infinite))} eigenvalue 0, not an instability"
             )
         if self.resting:
             message.append(
-                f"{len(self.resting)} state(s) that nothing moves ({_few(self.resting)}): eigenvalue 0, "
-                "no instability"
+                f"{len(self.resting)} constant state(s) ({_few(self.resting)}): eigenvalue 0, "
+                "not an instability"
             )
         return tuple(message)
 

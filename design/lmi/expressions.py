@@ -170,7 +170,7 @@ def bmat(rows: Sequence[Sequence[Affine | Scalar | Matrix | float]]) -> Affine:
             if isinstance(entry, Affine):
                 if entry.shape != (heights[i], widths[j]):
                     raise ValueError(
-                        f"bmat: block ({i + 1}, {j + 1}) is {entry.shape}, its row and column want "
+                        f"bmat: block ({i + 1}, {j + 1}) is {entry.shape}, its row and column require "
                         f"({heights[i]}, {widths[j]})"
                     )
                 total = total + place_row @ (entry @ np.eye(left[-1])[left[j] : left[j + 1]])

@@ -74,19 +74,21 @@ class AllModes:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What a table of the modes does not say, in words."""
+        """Remarks on the modes, as sentences: residual, zero and growing eigenvalues."""
         message = [f"largest residual {self.residual:.1e}", *self.zero_eigenvalues.remarks]
-        slow = f"below {self.band_hz[0]:g} Hz, counted independently: {self.near_zero} do not decay, "
+        slow = (
+            f"below {self.band_hz[0]:g} Hz, {self.near_zero} eigenvalues do not decay (independent count); "
+        )
         if self.growing_slowly:
             message.append(
-                f"{slow}of which {self.zero_eigenvalues.count} stand at 0 and {self.growing_slowly} grow: "
-                "unstable; a lower --band finds those that swing, a real one is a voltage or a control that "
-                "runs away"
+                f"{slow}{self.zero_eigenvalues.count} of them are zero and {self.growing_slowly} grow: "
+                "unstable; a lower --band shows the oscillatory ones, a real one is an instability of a "
+                "voltage or a control"
             )
         elif self.near_zero > 1:
-            message.append(f"{slow}all of them stand at 0 for the reasons above, none grows")
+            message.append(f"{slow}all of them are zero for the reasons above, none grows")
         if not any(mode.name.startswith("inter-area") for mode in self.modes):
-            message.append("no inter-area mode among them; a wider --band, or machines assigned to areas")
+            message.append("no inter-area mode among them; use a wider --band, or assign machines to areas")
         if self.unstable:
             message.append(f"unstable: {', '.join(mode.name for mode in self.unstable)}")
         return tuple(message)
@@ -159,8 +161,8 @@ def all_modes(
     pairs = exact.within(region)
     if len(pairs) != count.modes:
         raise ModeError(
-            f"{len(pairs)} modes found but {count.modes} counted between {low:g} and {high:g} Hz below a "
-            f"damping ratio of {below:g}; a narrower band or another limit says where they differ"
+            f"{len(pairs)} modes computed but {count.modes} counted between {low:g} and {high:g} Hz below a "
+            f"damping ratio of {below:g}; use a narrower band or another limit to locate the difference"
         )
     zero_eigenvalues = zero_eigenvalues_of(plant, loop)
     slow = _near_zero(exact, region, zero_eigenvalues)
@@ -208,7 +210,9 @@ def _counted(exact: _Exact, asked: Region) -> tuple[Region, Count]:
             return region, count_modes(exact.search.loop, region, known)
         except OnTheLine as error:
             region = region.aside(error.side)
-    raise ModeError(f"modes lie on every line tried: {'; '.join(region.moved)}; choose another band or limit")
+    raise ModeError(
+        f"modes lie on every boundary tried: {'; '.join(region.moved)}; choose another band or limit"
+    )
 
 
 def _near_zero(exact: _Exact, region: Region, zero_eigenvalues: ZeroEigenvalues) -> Count:
@@ -223,8 +227,8 @@ def _near_zero(exact: _Exact, region: Region, zero_eigenvalues: ZeroEigenvalues)
         if result.modes >= zero_eigenvalues.count:
             return result
     raise ModeError(
-        f"{zero_eigenvalues.count} eigenvalues stand at 0 by the way the plant is built, but could not be "
-        f"counted below {region.band[0] / (2.0 * np.pi):g} Hz; choose another lower end of the band"
+        f"{zero_eigenvalues.count} structural zero eigenvalues could not be counted below "
+        f"{region.band[0] / (2.0 * np.pi):g} Hz; choose another lower end of the band"
     )
 
 

@@ -87,7 +87,7 @@ class Growth:
         missing = self.counted - _times(self.growing)
         listed = [one.text for one in self.growing]
         if missing > 0:
-            listed.append(f"{missing} counted that no search found")
+            listed.append(f"{missing} more were counted but not computed")
         return f"{message}: {'; '.join(listed)}"
 
     def as_dict(self) -> dict[str, Any]:

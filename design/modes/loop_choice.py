@@ -139,7 +139,9 @@ def _require(kinds: Sequence[str], latency_s: float, together: int, actuators: S
     if not (np.isfinite(latency_s) and latency_s >= 0.0):
         raise ModeError(f"latency = {latency_s:g} s, wanted: 0 or more")
     if not 0 < together <= len(actuators):
-        raise ModeError(f"sets of {together} actuators, wanted: 1 to {len(actuators)}, as many as there are")
+        raise ModeError(
+            f"sets of {together} actuators, wanted: 1 to {len(actuators)}, the number of actuators"
+        )
 
 
 def _targets(modes: Sequence[Mode], wanted: Sequence[str]) -> list[int]:
@@ -265,8 +267,8 @@ class _Residues:
         for m in aimed:
             if not size[m] > _UNSEEN * size.max():
                 raise ModeError(
-                    f"{modes[m].name} ({modes[m].frequency_hz:.3f} Hz): no actuator with a signal reaches "
-                    "and shows it; allow more actuators or more kinds of signals"
+                    f"{modes[m].name} ({modes[m].frequency_hz:.3f} Hz): no allowed actuator and signal "
+                    "control and observe it; allow more actuators or more kinds of signals"
                 )
 
     def ranked(self, m: int, most: int) -> list[RankedLoop]:

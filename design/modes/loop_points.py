@@ -40,10 +40,8 @@ class LoopSet:
 
     @property
     def reason(self) -> str:
-        """Why it stands where it does, in words."""
-        message = (
-            f"{self.decides} is served least, {self.score:.2f}; {self.left:.2f} when the worst signal is lost"
-        )
+        """Reason of the rank, as a sentence."""
+        message = f"least score {self.score:.2f} ({self.decides}); {self.left:.2f} with the worst signal lost"
         return message if self.holds is None else f"{message}; {self.holds:.2f} at {self.weakest_point}"
 
 
@@ -107,7 +105,7 @@ def held(
 def gone(targets: Sequence[Mode], points: Sequence[LoopPoint]) -> tuple[str, ...]:
     """Say which targets are no mode of a point."""
     return tuple(
-        f"at {point.name}: no mode like {target.name}, or damped better than asked for"
+        f"at {point.name}: no mode with the shape of {target.name} below the damping limit"
         for point in points
         for target in targets
         if point.like(target) is None

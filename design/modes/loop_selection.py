@@ -1,4 +1,4 @@
-"""Which actuator with which signal: how well a mode is reached and seen by each loop.
+"""Which actuator with which signal: controllability and observability of a mode in each loop.
 
 The geometric index of the literature,
 |b^T w| |c v| / (|b| |w| |c| |v|), changes with the scaling of the states: in raw mixed units it
@@ -95,7 +95,7 @@ def require_actuator(names: Sequence[str]) -> None:
         raise ModeError(
             "no machine has an exciter that takes a signal (an input *_vs) and no bus an SVC or STATCOM "
             "(*_v_mod), no line a series capacitor (*_x_mod), and there is no dc link or converter "
-            "(*_p_mod), so no loop can be closed; give machines an exciter that regulates"
+            "(*_p_mod), so no loop can be closed; add an exciter that regulates to a machine"
         )
 
 
@@ -147,8 +147,9 @@ def rank_loops(
     gain = np.max(np.abs(frequency_response(A, B, C, picked.D, [abs(mode.eigenvalue) + 1e-9])))
     if not np.max(np.abs(reach)) * np.max(np.abs(see)) > least * gain * abs(mode.eigenvalue):
         raise ModeError(
-            f"mode {mode.name!r} ({mode.frequency_hz:.3f} Hz) is not both reached by {', '.join(requested)} "
-            f"(at most {np.max(np.abs(reach)):.2g}) and seen by {', '.join(signals)} "
+            f"mode {mode.name!r} ({mode.frequency_hz:.3f} Hz) is not both controllable from "
+            f"{', '.join(requested)} "
+            f"(at most {np.max(np.abs(reach)):.2g}) and observable in {', '.join(signals)} "
             f"(at most {np.max(np.abs(see)):.2g})"
         )
     controllability = np.abs(reach) / np.linalg.norm(reach)

@@ -96,7 +96,7 @@ class Mode:
     def caveat(self) -> str:
         """Why the name is not certain, in words; empty when it is."""
         listed = ", ".join(f"{z.real:.4g}{z.imag:+.4g}j" for z in self.rivals)
-        return f"{self.name} could as well be the mode at {listed}" if listed else ""
+        return f"{self.name} may also be the mode at {listed}" if listed else ""
 
     @property
     def frequency_hz(self) -> float:

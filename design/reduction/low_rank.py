@@ -84,8 +84,8 @@ def low_rank_reduction(
     Z, Y, growth = _gramian_factors(plant, B, C, zero, rest)
     if not growth <= _POOR:
         raise ReductionError(
-            f"no Gramians: they still grow by {growth:.2g} where the iteration ends; is the plant unstable? "
-            "`interarea modes` names what grows"
+            f"the Gramians did not converge: they grow by {growth:.2g} at the end of the iteration; is "
+            "the plant unstable? `interarea modes` names growing modes"
         )
     W, T, values = projections(Z, Y, 1e-13, most=rest)
     k = W.shape[1]

@@ -121,7 +121,7 @@ def closed_loop_reduction(
         worst = max(np.linalg.eigvals(full[0]), key=lambda v: v.real)
         raise ReductionError(
             f"the loop with the full controller is not stable ({mode_name(complex(worst))}): its Gramians "
-            "do not exist; remove the reference angle from the plant, or mend the controller first"
+            "do not exist; remove the reference angle from the plant, or correct the controller"
         )
     if slowest_rad_s is not None:
         slow = separate_slow(*K, slowest_rad_s)
@@ -130,7 +130,7 @@ def closed_loop_reduction(
     loop = _closed_loop(G, K)
     if not np.max(np.linalg.eigvals(loop[0]).real) < 0.0:
         raise ReductionError(
-            f"without {', '.join(removed)} the closed loop is not stable; keep it with slowest_rad_s=None"
+            f"without {', '.join(removed)} the closed loop is not stable; keep them with slowest_rad_s=None"
         )
     n = G[0].shape[0]
     W, T, values = projections(gramian_factor(loop[0], loop[1])[n:], gramian_factor(loop[0].T, loop[2].T)[n:])
@@ -140,7 +140,7 @@ def closed_loop_reduction(
     reduced = _closed_loop(G, small)
     if not np.max(np.linalg.eigvals(reduced[0]).real) < 0.0:
         raise ReductionError(
-            f"the closed loop with the controller of order {order} is not stable; ask for more"
+            f"the closed loop with the controller of order {order} is not stable; use a higher order"
         )
     return Reduction(
         system=assemble(controller, small),

@@ -100,9 +100,9 @@ def design_robust(
     rightmost, worst = objective.worst(theta)
     if not rightmost < ZERO_EIGENVALUE:
         raise InfeasibleDesign(
-            f"robust design: no controller of order {spec.order} kept all {len(objective.models)} design "
-            f"models stable in {spec.starts} starts (largest real part {rightmost:.3g} 1/s); raise the "
-            "order, lower the largest latency or take out the hardest operating point",
+            f"robust design: no controller of order {spec.order} stabilised all {len(objective.models)} "
+            f"design models in {spec.starts} starts (largest real part {rightmost:.3g} 1/s); raise the "
+            "order, lower the largest latency or remove the most difficult operating point",
             constraint="stability",
             asked=spec.order,
         )
@@ -224,7 +224,7 @@ def given_start(objective: Objective, spec: RobustSpec) -> Array:
     names = (tuple(K.input_labels), tuple(K.output_labels))
     if K.nstates != states or names != (spec.signals, spec.actuators):
         raise ValueError(
-            f"robust design: the controller to start from has {K.nstates} states, {', '.join(names[0])} "
+            f"robust design: the initial controller has {K.nstates} states, {', '.join(names[0])} "
             f"-> {', '.join(names[1])}; wanted {states}, {', '.join(spec.signals)} -> "
             f"{', '.join(spec.actuators)}"
         )

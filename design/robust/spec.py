@@ -92,7 +92,7 @@ def check_spec(spec: RobustSpec) -> None:
                 f"{least + 1} are needed"
             )
     if spec.start is None and spec.starts < 1:
-        raise ValueError("robust design: starts = 0, allowed only beside a controller to start from")
+        raise ValueError("robust design: starts = 0, allowed only with an initial controller")
     for condition in spec.conditions:
         unknown = {*condition.lost, *condition.latency_s_of, *condition.scale_of} - set(spec.signals)
         if unknown:
@@ -111,7 +111,7 @@ def _check_stages(spec: RobustSpec) -> None:
     requested += [(f"stage {k}", stage.conditions) for k, stage in enumerate(spec.stages, start=1)]
     for what, names in requested:
         if strange := sorted(set(names) - known):
-            raise ValueError(f"robust design: {what} names {strange}; the design's are {sorted(known)}")
+            raise ValueError(f"robust design: {what} names unknown {strange}; the design has {sorted(known)}")
 
 
 def _check_bounds(spec: RobustSpec) -> None:
@@ -151,7 +151,7 @@ def check_plants(plants: Mapping[str, control.StateSpace], spec: RobustSpec) -> 
         if order > plant.nstates:
             raise ValueError(
                 f"robust design: order {order} of the controller is above the plant's {plant.nstates} at "
-                f"operating point {point!r}; nothing is gained beyond the plant's order, lower it"
+                f"operating point {point!r}; a controller order above the plant's has no benefit, reduce it"
             )
         require_moved(point, plant, spec)
 

@@ -148,7 +148,7 @@ def describe_reach(A: Matrix, B: Matrix, C: Matrix, mode: complex) -> str:
     """Return the controllability and observability of an eigenvalue of A in words."""
     reach, seen = modal_parts(A, B, C, mode)
     message = f"controllability {reach:.1e}, observability {seen:.1e} of the size of A"
-    return message + ("; it is unstable and stays so" if not mode.real < 0.0 else "")
+    return message + ("; it is unstable and cannot be stabilised" if not mode.real < 0.0 else "")
 
 
 def require_reachable(
@@ -172,7 +172,7 @@ def require_reachable(
         zeta = -v.real / max(abs(v), 1e-300)
         raise InfeasibleDesign(
             f"{what}: mode {describe_mode(v)} lies outside the region ({region.describe()}) and cannot be "
-            f"moved: {describe_reach(A, B, C, v)}; the region must hold it (damping ratio <= {zeta:.4f}, "
+            f"moved: {describe_reach(A, B, C, v)}; the region must contain it (damping ratio <= {zeta:.4f}, "
             f"decay rate <= {-v.real:.4g} 1/s, radius >= {abs(v):.4g} rad/s), or choose another actuator or "
             "signal",
             constraint="controllability",

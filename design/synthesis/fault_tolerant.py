@@ -169,7 +169,7 @@ def loss_patterns(
     if loss_of is None:
         others = [name for name in damping_ratio_of if name != "normal"]
         if len(others) > 1:
-            raise ValueError(f"fault-tolerant control: say in loss_of which signals {others} lose")
+            raise ValueError(f"fault-tolerant control: name in loss_of the signals that {others} lose")
         loss_of = {name: tuple(P.outputs[:1]) for name in others}
     patterns = {}
     for name in damping_ratio_of:
@@ -183,7 +183,7 @@ def loss_patterns(
             raise ValueError(f"fault-tolerant control: {name!r} loses {unknown}, known signals: {P.outputs}")
         keep = np.array([signal not in lost for signal in P.outputs], dtype=float)
         if not np.any(keep):
-            raise ValueError(f"fault-tolerant control: {name!r} loses every signal, nothing can be damped")
+            raise ValueError(f"fault-tolerant control: {name!r} loses every signal, no damping is possible")
         patterns[name] = (keep[:, None] * P.C2, keep[:, None] * P.D21)
     return patterns
 

@@ -43,7 +43,9 @@ class GeneralizedPlant:
         for name, shape in requested.items():
             a = getattr(self, name)
             if a.shape != shape:
-                raise ValueError(f"generalized plant: {name} is {a.shape}, the other matrices want {shape}")
+                raise ValueError(
+                    f"generalized plant: {name} is {a.shape}, the other matrices require {shape}"
+                )
         for name in (*requested, "D11"):
             if not np.all(np.isfinite(getattr(self, name))):
                 raise ValueError(f"generalized plant: {name} has numbers that are not finite")
@@ -69,7 +71,7 @@ def check_design_plant(G: control.StateSpace) -> None:
     """
     state_space(G, "design plant")
     if G.nstates < 1:
-        raise ValueError("design plant: it has no states, nothing can be damped")
+        raise ValueError("design plant: it has no states, no damping is possible")
     if np.any(G.D != 0.0):
         raise ValueError(
             f"design plant: D is not zero (largest {np.abs(G.D).max():.3g}), the change of variables forbids "

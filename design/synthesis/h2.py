@@ -36,8 +36,8 @@ def h2_optimal(P: GeneralizedPlant, *, what: str = "H2 design") -> Synthesis:
     for name, D, size in (("D12", P.D12, P.D12.shape[1]), ("D21", P.D21, P.D21.shape[0])):
         if np.linalg.matrix_rank(D) < size:
             raise InfeasibleDesign(
-                f"{what}: {name} has rank {np.linalg.matrix_rank(D)}, wanted {size}: a control that costs "
-                "nothing or a measurement without noise has no optimum; add a small one",
+                f"{what}: {name} has rank {np.linalg.matrix_rank(D)}, wanted {size}: a control without "
+                "cost or a measurement without noise has no optimum; add a small weight",
                 constraint=name,
             )
     P = scaled(balanced_states(P))

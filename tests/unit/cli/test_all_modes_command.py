@@ -17,7 +17,7 @@ def test_all_modes_are_printed_with_their_count(interarea) -> None:  # type: ign
         "counted independently: 1"
     )
     assert lines[3].split()[:3] == ["inter-area", "0.6227", "0.0806"]
-    assert "its eigenvalue 0 is no instability" in out
+    assert "its eigenvalue 0 is not an instability" in out
     assert "speeds of the machines" in out
 
 

@@ -85,7 +85,7 @@ def test_a_target_that_no_allowed_signal_shows_is_one_line(interarea, tmp_path) 
     grid, mode = twin(tmp_path), ("--below", "0.5", "--mode", "local area 1.2")
     code, _, err = interarea("loops", grid, *mode, "--signals", "angle")
     assert code == 2
-    assert "no actuator with a signal reaches and shows it; allow more actuators or more kinds" in err
+    assert "no allowed actuator and signal control and observe it; allow more actuators or more kinds" in err
     assert len(err.strip().splitlines()) == 1
     assert interarea("loops", grid, *mode, "--signals", "speed")[0] == 0
 

@@ -126,7 +126,7 @@ def test_vectors_of_a_late_mode_tell_how_a_parameter_moves_it() -> None:
         ({"G9_dw": float("nan")}, 2.5, "latency of G9_dw = nan s"),
         ({"G1_dw": 0.1}, 2.5, "of G9_dw, G13_dw"),
         ({"G9_dw": 0.1}, float("inf"), "modes up to inf Hz"),
-        ({"G9_dw": 1e4}, 2.5, "too many turns for a search"),
+        ({"G9_dw": 1e4}, 2.5, "too many phase turns for the search"),
     ],
 )
 def test_a_latency_that_is_none_is_refused(latency: dict[str, float], high_hz: float, said: str) -> None:

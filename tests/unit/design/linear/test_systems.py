@@ -119,7 +119,7 @@ def test_matrices_are_taken_where_a_system_is() -> None:
 
 
 def test_matrices_without_names_are_no_controller() -> None:
-    with pytest.raises(ia.UserError, match=r"are no names of signals and actuators; name them: control\.ss"):
+    with pytest.raises(ia.UserError, match=r"are not names of signals and actuators; name them: control\.ss"):
         ia.certify(MATRICES)
 
 

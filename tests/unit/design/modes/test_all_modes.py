@@ -104,7 +104,7 @@ def test_a_search_that_misses_looks_again(monkeypatch: pytest.MonkeyPatch) -> No
     assert result.counted == len(result.modes) == 10
 
     monkeypatch.setattr(Search, "again", lambda self: False)
-    with pytest.raises(ModeError, match="8 modes found but 10 counted"):
+    with pytest.raises(ModeError, match="8 modes computed but 10 counted"):
         all_modes(plant_of("nets-nyps"), case_of("nets-nyps").areas, band_hz=(0.1, 2.5), below=0.2)
 
 

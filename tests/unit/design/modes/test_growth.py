@@ -86,7 +86,7 @@ def test_what_no_search_finds_is_counted_all_the_same(monkeypatch: pytest.Monkey
     monkeypatch.setattr(growth, "_CENTRES", ())
     result = growth_of_plant(plant, OpenLoop(plant))
     assert not result.stable
-    assert "2 counted that no search found" in result.text
+    assert "2 more were counted but not computed" in result.text
 
 
 @pytest.mark.parametrize("name", ["two-area-thesis", "new-england", "nets-nyps-no-pss"])

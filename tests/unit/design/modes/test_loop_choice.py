@@ -149,7 +149,7 @@ def test_no_inter_area_mode_and_an_unreachable_one_are_told() -> None:
     blind = SparsePlant(
         **{**{f: getattr(plant, f) for f in plant.__dataclass_fields__}, "Bu": 0.0 * plant.Bu}
     )
-    with pytest.raises(ModeError, match="no actuator with a signal reaches and shows it"):
+    with pytest.raises(ModeError, match="no allowed actuator and signal control and observe it"):
         choose_loops(blind, result.modes, load_case("nets-nyps").areas)
 
 

@@ -72,7 +72,7 @@ def test_a_target_that_is_no_mode_of_a_point_is_said_and_asks_nothing_there() ->
     first = next(mode for mode in base.modes if mode.name == "inter-area 1")
     fewer = LoopPoint("light", light.plant, [m for m in light.modes if m is not light.like(first)])
     only = chosen(base, fewer, targets=["inter-area 1"])
-    assert only.remarks == ("at light: no mode like inter-area 1, or damped better than asked for",)
+    assert only.remarks == ("at light: no mode with the shape of inter-area 1 below the damping limit",)
     assert all(one.holds == 1.0 for one in only.sets)
 
 

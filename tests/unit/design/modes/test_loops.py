@@ -76,7 +76,7 @@ def test_a_mode_that_nothing_reaches_is_an_error(system: control.StateSpace) -> 
         inputs=system.input_labels,
         outputs=system.output_labels,
     )
-    with pytest.raises(ModeError, match="reached by"):
+    with pytest.raises(ModeError, match="controllable from"):
         rank_loops(blind, modes_of(blind, AREAS)["inter-area"], areas=AREAS)
     with pytest.raises(ModeError, match="no machine has an exciter"):
         rank_loops(system, modes_of(system, AREAS)["inter-area"], areas=AREAS, actuators=[])

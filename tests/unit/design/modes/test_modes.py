@@ -182,7 +182,7 @@ def test_a_name_that_fits_another_mode_as_well_is_told() -> None:
             poles = [complex(z.real, abs(z.imag)) for z in followed.values()]
             if min(abs(modes[mode].eigenvalue - p) for p in poles) > 1e-6:
                 differing += 1
-                assert f"{mode} could as well be the mode at" in modes[mode].caveat
+                assert f"{mode} may also be the mode at" in modes[mode].caveat
     assert differing > 0
     assert not any(m.caveat for m in modes_of(open_loop, AREAS).values())
 

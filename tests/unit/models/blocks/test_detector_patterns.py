@@ -135,7 +135,7 @@ def test_a_design_is_written_and_read(patterns: Patterns, tmp_path: Path) -> Non
 @pytest.mark.parametrize("text", ["", "{}", json.dumps({"schema": 1, "detector": {}, "runs": {}})])
 def test_other_files_are_refused_in_a_line(text: str, tmp_path: Path) -> None:
     (tmp_path / "d.json").write_text(text)
-    with pytest.raises(DetectorDesignError, match="no file of a detector"):
+    with pytest.raises(DetectorDesignError, match="not a detector file"):
         load_detector(tmp_path / "d.json")
 
 
