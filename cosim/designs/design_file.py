@@ -65,8 +65,8 @@ class DesignTable(Table):
     #: decentralised: one table for each actuator, instead of `actuator`, `remote` and `local`
     part: tuple[PartTable, ...] = ()
     #: N: all signals at once; L: the remote one lost; s100: all 100 ms late; ns150: the remote one 150 ms
-    #: late; L:G2_dw: that signal lost; x2:G2_dw: that signal twice as large, x-1:G2_dw: of the wrong
-    #: polarity; joined by +
+    #: late; s300:G2_dw: that signal alone 300 ms late, as by a wrong time stamp; L:G2_dw: that signal lost;
+    #: x2:G2_dw: that signal twice as large, x-1:G2_dw: of the wrong polarity; joined by +
     conditions: tuple[str, ...] = Field(min_length=1)
     point: tuple[PointTable, ...] = Field(min_length=1)  #: the operating points, each a change to the case
     #: of a washout at each output; 0: none. With `dc_block`: no answer to a speed that rises steadily either

@@ -9,7 +9,7 @@ from math import isfinite
 from typing import TypeVar
 
 T = TypeVar("T")
-_LATE = re.compile(r"(n?s)([0-9]+)")
+_LATE = re.compile(r"(n?s)([0-9]+)(?::(.+))?")
 _SCALE = re.compile(r"x(-?\d+(?:\.\d+)?):(.+)")
 
 
@@ -83,7 +83,8 @@ def condition_of_many(code: str, signals: Sequence[str], *, remote: str | None =
     """Return the condition of a short code for any number of signals.
 
     ``N`` normal, ``L:G2_dw`` that signal lost, ``s100`` every signal late by 100 ms, ``s100+L:G2_dw`` both.
-    ``x2:G2_dw`` that signal twice as large, ``x-1:G2_dw`` of the wrong polarity.
+    ``x2:G2_dw`` that signal twice as large, ``x-1:G2_dw`` of the wrong polarity. ``s300:G2_dw`` that signal
+    alone late by 300 ms, as by a wrong time stamp; with ``s100`` before it, the others by 100 ms.
     With a `remote` signal also ``L``, it is lost, and ``ns150``, it alone is late.
 
     Raises ValueError for any other code.
@@ -96,14 +97,13 @@ def condition_of_many(code: str, signals: Sequence[str], *, remote: str | None =
             lost.append(gone)
         elif (scaled := _SCALE.fullmatch(part)) is not None and scaled[2] in signals:
             scales[scaled[2]] = float(scaled[1])
-        elif (late := _LATE.fullmatch(part)) is not None and (late[1] == "s" or remote is not None):
-            named = signals if late[1] == "s" else (str(remote),)
-            latency = dict.fromkeys(named, int(late[2]) / 1000.0)
+        elif (late := _late_by(part, signals, remote)) is not None:
+            latency |= late
         elif part != "N":
             short = "N, L, s<ms>, ns<ms>" if remote is not None else "N, s<ms>"
             raise ValueError(
-                f"condition {code!r}: parts are {short}, L:<one of {', '.join(signals)}> or "
-                f"x<factor>:<one of them> joined by +, got {part!r}"
+                f"condition {code!r}: parts are {short}, L:<one of {', '.join(signals)}>, "
+                f"s<ms>:<one of them> or x<factor>:<one of them> joined by +, got {part!r}"
             )
     return Condition(code, tuple(lost), _but(latency, lost), _but(scales, lost))
 
@@ -113,6 +113,18 @@ def _lost_by(part: str, signals: Sequence[str], remote: str | None) -> str | Non
     if part == "L":
         return remote
     return part[2:] if part.startswith("L:") and part[2:] in signals else None
+
+
+def _late_by(part: str, signals: Sequence[str], remote: str | None) -> dict[str, float] | None:
+    """Return the latency, s, of each signal that a part of a code delays; None where it is no such part."""
+    match = _LATE.fullmatch(part)
+    if match is None:
+        return None
+    kind, milliseconds, one = match.groups()
+    delayed = tuple(signals) if kind == "s" else (remote,)
+    if one is not None:
+        delayed = (one,) if kind == "s" and one in signals else (None,)
+    return {d: int(milliseconds) / 1000.0 for d in delayed if d is not None} if None not in delayed else None
 
 
 def _but(values: Mapping[str, float], lost: Sequence[str]) -> dict[str, float]:

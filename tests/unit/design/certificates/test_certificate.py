@@ -95,10 +95,14 @@ def test_codes_of_conditions() -> None:
     for code in ("x2:G9_dw", "x:G1_dw", "x1e400:G1_dw"):
         with pytest.raises(ValueError, match=r"x<factor>:<one of them> joined by \+, got 'x"):
             condition_of_many(code, ("G1_dw", "G2_dw"))
-    with pytest.raises(ValueError, match=r"L:<one of G1_dw, G2_dw> or x.* joined by \+, got 'L:G9_dw'"):
+    with pytest.raises(ValueError, match=r"L:<one of G1_dw, G2_dw>, s.* or x.* joined by \+, got 'L:G9_dw'"):
         condition_of_many("L:G9_dw", ("G1_dw", "G2_dw"))
-    with pytest.raises(ValueError, match="got 'ns100'"):
-        condition_of_many("ns100", ("G1_dw", "G2_dw"))
+    stamp = condition_of_many("s100+s300:G2_dw", ("G1_dw", "G2_dw"))
+    assert stamp.latency_s_of == {"G1_dw": 0.1, "G2_dw": 0.3} and stamp.kind == "late"
+    assert condition_of_many("s300:G2_dw", ("G1_dw", "G2_dw")).latency_s_of == {"G2_dw": 0.3}
+    for code in ("ns100", "s300:G9_dw", "ns100:G1_dw"):
+        with pytest.raises(ValueError, match=f"got '{code}'"):
+            condition_of_many(code, ("G1_dw", "G2_dw"))
     with pytest.raises(ValueError, match="parts are N, L"):
         condition_of("x5", "G4_dw", "G2_dw")
     with pytest.raises(ValueError, match="finite and not negative"):
