@@ -49,7 +49,7 @@ def load_exponents(
     if None in (P_exponent, Q_exponent) and any(
         load.follows is None and load.law is None for load in grid.loads
     ):
-        report.assume("loads follow the voltage as constant impedance unless the exponents say else", where)
+        report.assume("loads are constant impedances unless exponents are given", where)
     return 2.0 if P_exponent is None else P_exponent, 2.0 if Q_exponent is None else Q_exponent
 
 

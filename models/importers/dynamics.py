@@ -40,9 +40,9 @@ SVC = "svc"  #: kind of the devices of units that are SVCs
 PLANT_CONTROL = "REPCA1"  #: a record that names another bus or a branch
 
 #: why these are not modelled
-_LOAD = "a load of many motors and electronics, which LOAD of the RAW stands for"
-_OVER = "an over-excitation limiter; left out, nothing takes a field above its rating back, seconds later"
-_UNDER = "an under-excitation limiter; left out, nothing stops a machine that takes too much Q"
+_LOAD = "a composite load of motors and electronics; the constant load of the RAW represents it"
+_OVER = "an over-excitation limiter; without it a field current above the rating is not reduced"
+_UNDER = "an under-excitation limiter; without it the reactive power absorbed by a machine is not limited"
 _WHY = {
     **dict.fromkeys(("CMLDBLU1", "CMLDBLU2", "ACMTBLU1", "CIM5BL", "CIM6BL", "CLODBL"), _LOAD),
     **dict.fromkeys(("MAXEX1", "OEL1B"), _OVER),
@@ -51,10 +51,10 @@ _WHY = {
 
 #: assumed of records of these models, and of a field that is not used
 _ASSUMED = {
-    "GDFORM": "GridPACK's GDFORM taken as REGFMA1: E late by 5 ms where it is not integrated",
-    "MAXEX2": "MAXEX2 watches the field current, also where its first field asks for the field voltage",
-    "PFLAG": "PFLAG = 1 beside a WTTQA1, which multiplies by the speed already, taken as 0",
-    "INPUTTYPE": "what another program hands a PSSSIM with INPUTTYPE = 1 is not in the file: taken as 0",
+    "GDFORM": "GridPACK's GDFORM modelled as REGFMA1: E with a lag of 5 ms where it is not integrated",
+    "MAXEX2": "MAXEX2 measures the field current, also if its first field selects the field voltage",
+    "PFLAG": "PFLAG = 1 with a WTTQA1, which already multiplies by the speed: 0 used",
+    "INPUTTYPE": "input of a PSSSIM with INPUTTYPE = 1, which another program supplies: 0 used",
 }
 
 #: models that only trip or measure
@@ -116,7 +116,7 @@ def replaced(file: DyrFile, leave_out: Collection[str], models: Mapping[str, str
     records = []
     for record in file.records:
         if record.model in gone:
-            report.assume(f"{record.model} left out, as was asked", record.where)
+            report.assume(f"{record.model} left out as requested", record.where)
         elif record.model in other:
             records.append(_as(record, other[record.model], report))
         else:
@@ -131,7 +131,7 @@ def _as(record: DyrRecord, model: str, report: Report) -> DyrRecord:
         count = len(dyr_models()[model][1].fields)
     more = len(record.fields) - count if count is not None else 0
     cut = f", its last {more} field(s) {' '.join(record.fields[count:])} left out" if more > 0 else ""
-    report.assume(f"{record.model} read as {model}, as was asked{cut}", record.where)
+    report.assume(f"{record.model} read as {model} as requested{cut}", record.where)
     return dataclasses.replace(record, model=model, fields=record.fields[:count])
 
 
@@ -200,7 +200,7 @@ class _Units:
             at = (record.bus, record.identity)
             if record.model in CONVERTERS and at in self.machine_of:
                 self.constant[self.machine_of[at]] = 1.0
-                self.report.assume("converter taken as a constant current", record.where)
+                self.report.assume("converter modelled as a constant current", record.where)
 
     def concerned(
         self, record: DyrRecord, out: Collection[tuple[int, str]], records: Collection[str]
@@ -216,7 +216,7 @@ class _Units:
         if at not in self.machine_of:
             if record.model not in MACHINES and record.model not in records:
                 raise CaseError(f"{record.where}: {_unknown(record, records)}")
-            self.report.assume("DYR record of a unit that the grid does not have left out", record.where)
+            self.report.assume("DYR record of a unit that is not in the grid: ignored", record.where)
             return None
         if self.machine_of[at] in self.constant:
             self.report.drop("further DYR record of a constant current", record.where)
@@ -282,7 +282,9 @@ class _Units:
 
     def take_the_rest(self, exponent: float) -> None:
         """Make the units without any record constant P and Q (exponent 0) or currents (1)."""
-        taken = f"unit without DYR record taken as {'a constant current' if exponent else 'constant P and Q'}"
+        taken = (
+            f"unit without DYR record modelled as {'a constant current' if exponent else 'constant P and Q'}"
+        )
         for (bus, identity), name in self.machine_of.items():
             if name in self.where or name in self.constant:
                 continue
@@ -317,7 +319,7 @@ def _row(
         return _device(record, own, records, report)
     count, convert = MACHINES[record.model]
     if record.model == "GENCLS" and len(record.fields) == count + 1:  # a reactance, which the RAW has too
-        report.assume("third field of GENCLS left out: the reactance is that of the RAW", record.where)
+        report.assume("third field of GENCLS ignored: the reactance of the RAW is used", record.where)
         record = dataclasses.replace(record, fields=record.fields[:count])
     if len(record.fields) != count:
         less = len(record.fields) < count
@@ -330,7 +332,7 @@ def _row(
     row = convert(record.where, *(fields.number(str(k + 1)) for k in range(count)))
     for transient, subtransient in (("Xd1", "Xd2"), ("Xq1", "Xq2")):
         if 0.0 < row.get(subtransient, 0.0) - row.get(transient, 0.0) <= ROUNDED:
-            report.assume(f"{subtransient} above {transient} by rounding: taken as {transient}", record.where)
+            report.assume(f"{subtransient} above {transient} by rounding: {transient} used", record.where)
             row |= {"Xd2": row[transient], "Xq2": row[transient]}
     return MACHINE, row | {"torque_by_speed": True} if row["model"] == "round_rotor" else row
 
@@ -365,10 +367,10 @@ def _completed(record: DyrRecord, report: Report) -> DyrRecord:
     """A WTARA1 with a field before Ka, or a WTDTA1 of one mass without Dshaft, as the published record."""
     fields = record.fields
     if record.model == "WTARA1" and len(fields) == 3:
-        report.assume("first of three fields of WTARA1 left out: Ka and theta0 follow", record.where)
+        report.assume("first of three fields of WTARA1 ignored: Ka and theta0 follow", record.where)
         return dataclasses.replace(record, fields=fields[1:])
     if record.model == "WTDTA1" and len(fields) == 4 and not fields[2].strip("0.-+"):
-        report.assume("WTDTA1 without Dshaft, which one mass does not have", record.where)
+        report.assume("WTDTA1 without Dshaft, which a single mass does not have", record.where)
         return dataclasses.replace(record, fields=(*fields, "0"))
     return record
 
@@ -376,15 +378,15 @@ def _completed(record: DyrRecord, report: Report) -> DyrRecord:
 def _unknown(record: DyrRecord, records: Collection[str]) -> str:
     model = record.model
     if record.user and model not in _WHY:
-        advice = f"; draw it as a device named {model} and give its file with --device"
+        advice = f"; define it as a device named {model} and give its file with --device"
     elif model in CONVERTERS:
         advice = f": {_WHY[model]}{CURRENTS}" if model in _WHY else CURRENTS
     elif model in _WHY:
-        advice = f": {_WHY[model]}; --leave-out {model} goes on without it"
+        advice = f": {_WHY[model]}; --leave-out {model} omits it"
     else:
         near = "" if model in KNOWN else nearest(model, [*MACHINES, *records])
         advice = f"; {near}" if near else ""
-        advice += f"; --leave-out {model} goes on without it, --replace {model}=MODEL reads it as another"
+        advice += f"; --leave-out {model} omits it, --replace {model}=MODEL reads it as another"
     return f"model {model!r} at bus {record.bus} is not supported{advice}"
 
 

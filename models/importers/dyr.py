@@ -133,7 +133,7 @@ class _Reader:
             self.words = []
         model = _second_record(behind, self.known)
         if model:
-            self.notes.append(f"{where}: {model} begins behind the / of another record; read as two")
+            self.notes.append(f"{where}: {model} begins after the / of another record; read as two records")
         return behind if model else None
 
     def is_comment(self, number: int, text: str) -> bool:
@@ -144,7 +144,7 @@ class _Reader:
         self.comments += text != "/"
         what = "" if marked else _like_a_record(text, self.known)
         if what:
-            note = f"line {number}, {what}, begins with no bus number: taken as comment"
+            note = f"line {number}, {what}, has no bus number: treated as comment"
             self.notes.append(f"{self.path}:{number}: {note}")
         return True
 
@@ -153,7 +153,9 @@ class _Reader:
         while (at := _next_record(self.words, self.known, self.searched)) is not None:
             line = number - (at < len(self.words) - new)
             self.records.append(_record(self.path, self.first, self.words[:at]))
-            note = f"{self.words[at + 1]} begins before the / of {self.records[-1].model}; read as two"
+            note = (
+                f"{self.words[at + 1]} begins before the / of {self.records[-1].model}; read as two records"
+            )
             self.notes.append(f"{self.path}:{line}: {note}")
             self.words, self.first, self.searched = self.words[at:], line, 0
         self.searched = len(self.words)

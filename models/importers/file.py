@@ -77,11 +77,11 @@ def import_grid(
         raise CaseError(f"dyr = {dyr}: is a grid by its suffix, wanted: the dynamic data of {file.name}")
     if suffix == ".m":
         if dyr is not None:
-            raise CaseError(f"{dyr}: dynamic data goes with a RAW file, not with MATPOWER")
+            raise CaseError(f"{dyr}: dynamic data need a RAW file, MATPOWER has none")
         if devices:
-            raise CaseError(f"{devices[0]}: a device goes with a DYR file, which MATPOWER does not have")
+            raise CaseError(f"{devices[0]}: a device needs a DYR file, MATPOWER has none")
         if leave_out or replace_models:
-            raise CaseError(f"{file}: has no DYR file, so there is no model to leave out or to replace")
+            raise CaseError(f"{file}: no DYR file, so no model can be left out or replaced")
         return import_matpower(file, **how)
     if suffix in (".raw", ".rawx"):
         models |= {"converters_as_current": converters == "current", "dc_lines_as_power": dc_lines == "power"}

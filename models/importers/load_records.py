@@ -45,7 +45,7 @@ def take_load_records(records: Iterable[DyrRecord], loads: Sequence[StaticLoad],
         law, of = _law(record, report), _SCOPES[record.model]
         own = [load for load in free if of(load, record.bus, record.identity)]
         if not own and record.model == "IEELBL":
-            report.assume("load record of a load that the grid does not have left out", record.where)
+            report.assume("load record of a load that is not in the grid: ignored", record.where)
         for load in own:
             if id(load) not in taken:
                 load.law = law
@@ -64,7 +64,7 @@ def _law(record: DyrRecord, report: Report) -> tuple[tuple[float, float, float, 
     fields = Record(record.model, record.fields, record.where, at)
     v = [fields.number(str(k + 1)) for k in range(_FIELDS)]
     if v[6] or v[7]:
-        report.assume(f"{record.model}: how loads follow the frequency (a7, a8) left out", record.where)
+        report.assume(f"{record.model}: frequency dependence of loads (a7, a8) ignored", record.where)
     P = _shares(record, "P", v[0:3], v[8:11], report)
     Q = _shares(record, "Q", v[3:6], v[11:14], report)
     return tuple((*p, *q) for p, q in zip_longest(P, Q, fillvalue=(0.0, 2.0)))

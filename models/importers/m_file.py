@@ -133,7 +133,7 @@ def _refused(where: str, text: str) -> CaseError:
     table = re.match(r"mpc\.(\w+)", shown)
     what = f"changes mpc.{table.group(1)} by code" if table else "is code"
     return CaseError(
-        f"{where}: {shown[:80]!r} {what} that is not understood here, allowed: mpc.NAME = [numbers], names "
+        f"{where}: {shown[:80]!r} {what} that is not supported, allowed: mpc.NAME = [numbers], names "
         "of columns from idx_bus, idx_gen, idx_brch, and sums, products and quotients of columns with "
         "numbers (write the numbers themselves into the table)"
     )
@@ -151,7 +151,9 @@ def _statements(path: Path, lines: list[str]) -> list[_Statement]:
             pieces.append(part)
             depth += _DEPTH.get(sign, 0)
             if depth < 0:
-                raise CaseError(f"{path}:{number}: a {sign} closes nothing, allowed: one for each opened")
+                raise CaseError(
+                    f"{path}:{number}: a {sign} without its opening sign, allowed: one for each opened"
+                )
             if sign in (";", ",") and depth == 0:
                 statements.append(_Statement(first, "".join(pieces)))
                 pieces, begun = [], False

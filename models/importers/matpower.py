@@ -140,14 +140,14 @@ def _table(file: MFile, table: str) -> list[_Row]:
 
 def _tell(file: MFile, report: Report) -> None:
     """Say what of `file` was done and what plays no part."""
-    report.read["statements that change a table, which were done"] = len(file.changes)
+    report.read["statements that change a table: executed"] = len(file.changes)
     for name, line in file.twice.items():
-        report.assume(f"mpc.{name} is given twice: the later one taken", f"{file.path}:{line}")
+        report.assume(f"mpc.{name} is given twice: the later one used", f"{file.path}:{line}")
     for name, rows in file.lines.items():
         if name not in _COLUMNS and rows:
-            report.drop(f"mpc.{name}, which plays no part", f"{file.path}:{rows[0]}")
+            report.drop(f"mpc.{name}: ignored", f"{file.path}:{rows[0]}")
     for name, line in file.other.items():
-        report.drop(f"mpc.{name}, which plays no part", f"{file.path}:{line}")
+        report.drop(f"mpc.{name}: ignored", f"{file.path}:{line}")
 
 
 def _buses(rows: list[_Row], grid: StaticGrid) -> None:
@@ -173,7 +173,7 @@ def _units(rows: list[_Row], grid: StaticGrid, report: Report) -> None:
     for row in rows:
         v, on = row.values, row.values[7] > 0.0
         if not on and row.whole(0) not in grid.buses:
-            report.drop("unit out of service at a bus that is not there", row.where)
+            report.drop("unit out of service at a bus that does not exist", row.where)
             continue
         bus = row.bus(0, grid)
         count[bus] = count.get(bus, 0) + 1
@@ -189,7 +189,7 @@ def _branches(rows: list[_Row], grid: StaticGrid, report: Report) -> None:
     for row in rows:
         v, on = row.values, row.values[10] > 0.0
         if not on and not {row.whole(0), row.whole(1)} <= grid.buses.keys():
-            report.drop("branch out of service at a bus that is not there", row.where)
+            report.drop("branch out of service at a bus that does not exist", row.where)
             continue
         first, second = row.bus(0, grid), row.bus(1, grid)
         if first == second:
@@ -205,7 +205,7 @@ def _branches(rows: list[_Row], grid: StaticGrid, report: Report) -> None:
             branch.joins = not branch.transformer
             if branch.transformer:
                 branch.x = _LEAST_PU
-                report.assume(f"transformer without impedance gets {_LEAST_PU:g} pu", row.where)
+                report.assume(f"transformer without impedance: x = {_LEAST_PU:g} pu", row.where)
         grid.branches.append(branch)
 
 
@@ -219,4 +219,4 @@ def _dc_lines(rows: list[_Row], grid: StaticGrid, report: Report) -> None:
         for end, bus, taken in (("F", row.bus(0, grid), v[3]), ("T", row.bus(1, grid), -v[4])):
             load = StaticLoad(bus, "D", f"{k}{end}", taken, 0.0, row.where, follows=0.0, q_free=True)
             grid.loads.append(load)
-        report.assume("dc line taken as constant P and Q at both ends", row.where)
+        report.assume("dc line modelled as constant P and Q at both ends", row.where)

@@ -188,8 +188,8 @@ def _take_place(record: DyrRecord, grid: StaticGrid, branches: Iterable[str], ro
         row["regulates"] = grid.alias.get(regulated, regulated)
         if row["regulates"] not in grid.buses:
             raise CaseError(
-                f"{record.where}: REPCA1 regulates bus {regulated}, which the grid does not have in service; "
-                "give 0 for its own bus"
+                f"{record.where}: REPCA1 regulates bus {regulated}, which is not in service; give 0 for "
+                "its own bus"
             )
     if not first and not second:
         return
@@ -221,14 +221,14 @@ def _compare_reactances(grid: StaticGrid, names: Sequence[str], dynamics: Dynami
         if "Xd2" not in row:
             if row and not unit.x > 0.0:
                 raise CaseError(
-                    f"{unit.where}: ZX = {unit.x:g}, allowed: above 0, the reactance behind which GENCLS of "
-                    f"{dynamics.where[name]} stands; give it (field ZX of the unit)"
+                    f"{unit.where}: ZX = {unit.x:g}, allowed: above 0, the reactance of GENCLS of "
+                    f"{dynamics.where[name]}; give it (field ZX of the unit)"
                 )
             continue
         if abs(row["Xd2"] - unit.x) > 1e-6:
-            report.assume("X''d of the DYR taken, ZX of the RAW is another", unit.where)
+            report.assume("X''d of the DYR used; ZX of the RAW differs", unit.where)
         if row["Xd2"] < row["Xl"]:
-            report.assume("X''d below the leakage reactance Xl: taken as it is", dynamics.where[name])
+            report.assume("X''d below the leakage reactance Xl: used unchanged", dynamics.where[name])
 
 
 def _case_with_lines(document: dict[str, Any], where: str, lines: Mapping[str, str]) -> Case:
@@ -247,7 +247,7 @@ def static_grid(file: RawFile, report: Report, frequency_hz: float | None = None
         where, _, what = note.rpartition(": ") if ": " in note else ("", "", note)
         report.assume(what, where)
     for section, (count, line) in file.aside.items():
-        report.drop(f"{section} record, which plays no part", f"{file.path}:{line}", count)
+        report.drop(f"{section} record: ignored", f"{file.path}:{line}", count)
     if file.frequency_hz is None and frequency_hz is None:
         report.assume(f"no frequency in the file: {USUAL_HZ:g} Hz", f"{file.path}:1")
     source = f"{file.path.name} (PSS/E {file.version})"

@@ -65,11 +65,9 @@ def not_alone(file: Path) -> str:
     """Return how a file of dynamic data is given, as the end of a sentence about it; "" of another.
 
     >>> not_alone(Path("grid.dyr"))
-    '; dynamic data go with their grid: GRID.raw --dyr grid.dyr'
+    '; dynamic data need their grid: GRID.raw --dyr grid.dyr'
     """
-    return (
-        f"; dynamic data go with their grid: GRID.raw --dyr {file}" if file.suffix.lower() == ".dyr" else ""
-    )
+    return f"; dynamic data need their grid: GRID.raw --dyr {file}" if file.suffix.lower() == ".dyr" else ""
 
 
 def require_grid(grid: str) -> None:
@@ -122,12 +120,12 @@ def fetched(wheel: Wheel, folder: Path) -> Path:
     try:
         done = run_guarded(command, env=surroundings, timeout_s=_WAIT_S)
     except (OSError, subprocess.TimeoutExpired) as error:
-        raise CaseError(f"{wheel.requirement}: pip does not answer: {error}") from None
+        raise CaseError(f"{wheel.requirement}: pip does not respond: {error}") from None
     files = sorted(folder.glob("*.whl"))
     if done.returncode or not files:
         message = (done.stderr.strip().splitlines() or ["no reason given"])[-1]
         raise CaseError(
-            f"{wheel.requirement}: pip does not get it: {message}; "
-            "check the connection, or import the RAW and DYR by their names"
+            f"{wheel.requirement}: pip cannot download it: {message}; "
+            "check the connection, or import the RAW and DYR files by name"
         )
     return files[0]

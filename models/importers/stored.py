@@ -103,12 +103,12 @@ def solve_stored(grid: StaticGrid, slacks: Sequence[StaticBus], report: Report) 
     report.lines.append(_verdict(stored_mva, stored_bus, len(grid.buses)))
     if stored_mva > FAIR_MVA:
         where = grid.buses[stored_bus].where
-        report.assume("stored voltages are no solution; the power flow is solved anew", where)
+        report.assume("the stored voltages are not a solution; the power flow is solved again", where)
     V = _newton(arrays, free_angle, free_magnitude, is_held)
     moved_pu = float(np.max(np.abs(np.abs(V) - np.abs(start))))
     moved_deg = float(np.max(np.abs(np.degrees(np.angle(V / start)))))
     report.lines.append(
-        f"power flow: voltages {np.abs(V).min():.4f} to {np.abs(V).max():.4f} pu, moved by at most "
+        f"power flow: voltages {np.abs(V).min():.4f} to {np.abs(V).max():.4f} pu, differing by at most "
         f"{moved_pu:.2g} pu and {moved_deg:.2g} deg from the stored ones"
     )
     generation = _generation(grid, arrays, V, is_held)
@@ -148,7 +148,7 @@ def decide_units_at_load_buses(grid: StaticGrid, report: Report) -> None:
         elif _fits(within, without):
             what = "kept with its P and Q: the stored voltages are a solution with it"
         else:
-            what = "kept with its P and Q: the stored voltages do not tell"
+            what = "kept with its P and Q: the stored voltages do not decide"
         size = f"(off by {within:.3g} MVA with it, by {without:.3g} without it)"
         report.assume(f"unit in service at a bus of type 1 {what} {size}", units[0].where, len(units))
 
@@ -171,7 +171,9 @@ def _hold_set_points(grid: StaticGrid, arrays: _Arrays, report: Report) -> bool:
         if bus.kind != LOAD and unit.bus not in done and unit.v > 0.0:
             done.add(unit.bus)
             if unit.v != bus.v:
-                report.assume("unit holds its set-point, the stored voltages being no solution", unit.where)
+                report.assume(
+                    "unit holds its set-point, because the stored voltages are not a solution", unit.where
+                )
                 bus.v = unit.v
     return True
 
@@ -184,7 +186,7 @@ def _prepared(
     for number, bus in grid.buses.items():
         if bus.kind in (UNIT, SLACK) and number not in sourced:
             bus.kind = LOAD
-            report.assume("bus of type 2 or 3 without a unit in service taken as a load bus", bus.where)
+            report.assume("bus of type 2 or 3 without a unit in service: treated as a load bus", bus.where)
     _free_reactive(grid)
     arrays = _Arrays(grid)
     is_held = np.array([bus.kind != LOAD for bus in grid.buses.values()])
@@ -259,7 +261,7 @@ def _newton(
     low, high = int(np.argmin(volts)), int(np.argmax(volts))
     raise PowerFlowError(
         f"{grid.source}: the power flow does not converge: largest mismatch {worst:.4g} MVA at bus {at} "
-        f"({grid.buses[at].where}); its best voltages reach from {volts[low]:.4g} pu at bus {numbers[low]} "
+        f"({grid.buses[at].where}); its best voltages range from {volts[low]:.4g} pu at bus {numbers[low]} "
         f"to {volts[high]:.4g} pu at bus {numbers[high]}",
         voltages=dict(zip(numbers, map(complex, best.voltages), strict=True)),
     )

@@ -39,7 +39,7 @@ def _drop_isolated(grid: StaticGrid, report: Report) -> None:
         at_dead = branch.first in dead or branch.second in dead
         if at_dead:
             if branch.on:
-                report.assume("branch in service at an isolated bus taken as out of service", branch.where)
+                report.assume("branch in service at an isolated bus: treated as out of service", branch.where)
             continue
         if branch.joins and not branch.on:
             report.drop("open switch or line without impedance", branch.where)
@@ -51,7 +51,7 @@ def _drop_isolated(grid: StaticGrid, report: Report) -> None:
 def _in_service(what: str, rows: list[Row], dead: set[int], report: Report) -> list[Row]:
     for row in rows:
         if row.on and row.bus in dead:
-            report.assume(f"{what} in service at an isolated bus taken as out of service", row.where)
+            report.assume(f"{what} in service at an isolated bus: treated as out of service", row.where)
         elif not row.on:
             report.drop(f"{what} out of service", row.where)
     return [row for row in rows if row.on and row.bus not in dead]
@@ -96,7 +96,7 @@ def _move_to_nodes(grid: StaticGrid, report: Report) -> None:
         branch.second = grid.alias.get(branch.second, branch.second)
     inside = [b for b in grid.branches if b.first == b.second]
     for branch in inside:
-        report.drop("branch beside a closed switch, with both ends at one node", branch.where)
+        report.drop("branch parallel to a closed switch, both ends at one node", branch.where)
     grid.branches[:] = [b for b in grid.branches if b.first != b.second]
     _rewire(grid.shunts, grid.alias)
     _rewire(grid.loads, grid.alias)
@@ -187,8 +187,8 @@ def _slack_of(grid: StaticGrid, report: Report, part: set[int], rating: Counter[
     swings = [bus for n, bus in grid.buses.items() if bus.kind == SLACK and n in part and n in rating]
     if swings:
         for other in swings[1:]:
-            report.assume("further slack bus holds its stored power", other.where)
+            report.assume("another slack bus: holds its stored power", other.where)
         return max(swings, key=lambda bus: rating[bus.number]) if len(swings) > 1 else swings[0]
     bus = grid.buses[max(sourced, key=lambda number: rating[number])]
-    report.assume(f"no slack bus: bus {bus.number}, which has the largest units, is taken", bus.where)
+    report.assume(f"no slack bus: bus {bus.number}, which has the largest units, is used", bus.where)
     return bus

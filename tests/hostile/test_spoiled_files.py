@@ -103,7 +103,7 @@ ALLOWED = ("refused", "reported", "harmless", "another number")
             "0,'1,1,1,1",
             r"raw:20: transformer record: CKT \(field 4\) = .*is a quote lost",
         ),
-        ("raw", "GENERATOR DATA\n1,'1'", "GENERATOR DATA 1,'1'", r"raw:13: a record stands behind the /"),
+        ("raw", "GENERATOR DATA\n1,'1'", "GENERATOR DATA 1,'1'", r"raw:13: a record follows the /"),
         ("dyr", "1 'SEXS' 1 0.1 10.0", "1 'SEXS' 1 0.1 1_0", r"dyr:4: SEXS field 2 \(TB\) = '1_0', allowed"),
         ("m", "mpc.baseMVA = 100;", "mpc.baseMVA = '100';", r"m: mpc\.baseMVA = '100', allowed: a number"),
         (
@@ -124,7 +124,7 @@ def test_what_was_silent(tmp_path: Path, file: str, was: str, now: str, says: st
 def test_what_stands_behind_the_end_is_told(tmp_path: Path) -> None:
     load = "3,'9',1,1,1,99.0,30.0,0.0,0.0,0.0,0.0,1,1,0\n"
     report = read(tmp_path, raw=GOOD["raw"] + load).report
-    assert report.first["1 lines after the Q that ends the data left aside"].endswith("grid.raw:34")
+    assert report.first["1 lines after the Q that ends the data ignored"].endswith("grid.raw:34")
 
 
 def test_a_unit_whose_exciter_record_is_lost_is_told(tmp_path: Path) -> None:

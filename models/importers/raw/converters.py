@@ -25,7 +25,7 @@ def read_converters(raw: RawFile, grid: StaticGrid, report: Report) -> None:
             report.drop("VSC line out of service", record.where)
             continue
         if _vsc(record, raw, grid):
-            report.assume("VSC line taken as constant P and Q at its converters", record.where)
+            report.assume("VSC line modelled as constant P and Q at its converters", record.where)
         else:
             report.drop("VSC line out of service", record.where)
     for record in usable(raw.records("FACTS"), grid, report):
@@ -108,9 +108,7 @@ def reactive_power(
     ideal = bridges * 3.0 * math.sqrt(2.0) / math.pi * line
     start = (dc_volts + bridges * (3.0 / math.pi * x + 2.0 * sign * r) * current) / ideal
     if start > 1.0:
-        report.assume(
-            "dc line whose angles the stored voltage does not allow taken at angle 0", converter.where
-        )
+        report.assume("dc line whose angles the stored voltage does not allow: angle 0 used", converter.where)
         start = 1.0
     angle = math.acos(start)
     end = start - math.sqrt(2.0) * x * current / line
@@ -166,16 +164,14 @@ def _facts(record: Record, grid: StaticGrid, report: Report) -> None:
     grid.bus(first, record.where)
     if second == 0:
         _add(grid, record, first, "F", "S", 0j, q_free=True)
-        report.assume(
-            "shunt FACTS device taken as the constant Q that the stored voltages tell", record.where
-        )
+        report.assume("shunt FACTS device modelled as the constant Q of the stored voltages", record.where)
         return
     grid.bus(second, record.where)
     if mode == 1:
         power = complex(record.number("PDES", 0.0), record.number("QDES", 0.0))
         _add(grid, record, second, "F", "J", -power)
         _add(grid, record, first, "F", "I", complex(power.real, 0.0), q_free=True)
-        report.assume("series FACTS device taken as its scheduled power at both ends", record.where)
+        report.assume("series FACTS device modelled as its scheduled power at both ends", record.where)
     elif mode == 2:
         name = record.text("NAME")
         grid.branches.append(
@@ -184,5 +180,5 @@ def _facts(record: Record, grid: StaticGrid, report: Report) -> None:
         _add(grid, record, first, "F", "S", 0j, q_free=True)
     else:
         raise record.wrong(
-            "MODE", str(mode), "0, 1 or 2 (other modes of the series element are not known here)"
+            "MODE", str(mode), "0, 1 or 2 (other modes of the series element are not supported)"
         )

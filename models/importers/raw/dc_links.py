@@ -18,7 +18,7 @@ _L_S = 0.005  #: line and reactors by the base resistance, s, as in CIGRE's firs
 _NO_LOAD = 3.0 * math.sqrt(2.0) / math.pi  #: dc voltage of a bridge without current by its line voltage
 _AS_DROP = 2.0 * math.pi / 3.0  #: reactance of the voltage drop of a commutation resistance
 _NONE = (0.0, 0.0)
-_CONTROL = "dc line: its control, rating and inductance are not in the file, usual ones taken"
+_CONTROL = "dc line: its control, rating and inductance are not in the file: usual values used"
 
 
 def take_links(
@@ -36,9 +36,9 @@ def take_links(
         here = [load for load in link.loads if id(load) in left]
         if not here:
             continue
-        reason, _ = ("as asked for", _NONE) if as_power else _held(link, len(here), voltages)
+        reason, _ = ("as requested", _NONE) if as_power else _held(link, len(here), voltages)
         if reason:
-            report.assume(f"dc line taken as constant P and Q at its converters: {reason}", link.where)
+            report.assume(f"dc line modelled as constant P and Q at its converters: {reason}", link.where)
             continue
         name = "hvdc_" + re.sub(r"[^A-Za-z0-9_]", "_", link.name.strip())[:40]
         while name in links:
@@ -79,13 +79,13 @@ def _held(link: StaticLink, ends: int, voltages: Mapping[int, complex]) -> tuple
     """What excludes a link, "" if nothing does, and its angles in deg. ends : how many are in the case."""
     row, xc, none = link.row, _reactances(link), _NONE
     if ends < 2 or link.loads[0].bus == link.loads[1].bus:
-        return "one end is not in the case, or both are at one node; --island all keeps every part", none
+        return "one end is not in the case, or both are at one node; --island all keeps all islands", none
     if not link.current > 0.0:
-        return "it carries nothing; set SETVL", none
+        return "it carries no power; set SETVL", none
     if row["rectifier_xcap_ohm"] or row["inverter_xcap_ohm"]:
         return "commutation capacitors (XCAP) are not modelled; set them to 0", none
     if row["rectifier_bridges"] != row["inverter_bridges"]:
-        return "a link has as many bridges at both ends; set NB", none
+        return "a link has the same number of bridges at both ends; set NB", none
     if not (row["r_ohm"] >= 0.0 and min(xc) >= 0.0):
         return "RDC, or XC less the drop of RC, is below 0; set it", none
     angles, bases = [], [abs(voltages[load.bus]) for load in link.loads]

@@ -109,7 +109,7 @@ def read_raw(path: Path) -> RawFile:
     raw = RawFile(path, head.base_mva, head.frequency_hz, head.revision, version, {}, {})
     raw.notes += [f"{path}:{first}: {note}"] if note else []
     remark = next((number for number, text in numbered if text.lstrip()[:2] == "//"), None)
-    raw.notes += [f"{path}:{remark}: a line that begins with // taken as comment"] if remark else []
+    raw.notes += [f"{path}:{remark}: a line that begins with // treated as comment"] if remark else []
     _cut(raw, body)
     raw.system = _system_wide(raw)
     return raw
@@ -200,7 +200,7 @@ def _left_behind(raw: RawFile, lines: list[Line], after: str) -> None:
     """Note what stands where no section is, but for blank lines and a Q."""
     rest = [line for line in lines if line[1].strip() and line[1].strip()[:1] not in "Qq"]
     if rest:
-        raw.notes.append(f"{raw.path}:{rest[0][0]}: {len(rest)} lines after {after} left aside")
+        raw.notes.append(f"{raw.path}:{rest[0][0]}: {len(rest)} lines after {after} ignored")
 
 
 class _End(Enum):

@@ -37,7 +37,7 @@ def usable(records: Iterator[Record], grid: StaticGrid, report: Report) -> Itera
         if _is_out(record) and any(
             record.bus(name, 0) not in (0, *grid.buses) for name in _BUSES if name in record.position
         ):
-            report.drop(f"{record.kind} out of service at a bus that is not there", record.where)
+            report.drop(f"{record.kind} out of service at a bus that does not exist", record.where)
             continue
         if all(name in record.position for name in names):  # until version 34 a switched shunt has none
             buses = sorted(record.bus(name, 0) for name in names if name in _BUSES)
@@ -59,7 +59,7 @@ def _is_out(record: Record) -> bool:
 
 def _twice(record: Record, buses: list[int], word: list[str], before: str, report: Report) -> None:
     if len(buses) > 1:
-        what = f"{record.kind} whose identifier is given twice taken as a further circuit"
+        what = f"{record.kind} whose identifier is given twice: read as another circuit"
         report.assume(what, record.where)
         return
     place = f" at bus {buses[0]}" if buses else ""

@@ -86,13 +86,13 @@ def read_lines_of(raw: RawFile, grid: StaticGrid, report: Report) -> None:
         if record.parts and record.parts[0].words[:1] == ("0",):
             report.drop("generic network element out of service", record.where)
         else:
-            raise record.refused("has no counterpart here; take it out or replace it by loads")
+            raise record.refused("has no model here; remove it or replace it by loads")
 
 
 def apply(row: StaticBranch, tables: dict[int, Correction], number: int, where: str, report: Report) -> None:
     """Multiply the impedance of `row` by its correction table."""
     if number not in tables:
-        report.assume("impedance correction table that the file does not hold left aside", where)
+        report.assume("impedance correction table that is not in the file: ignored", where)
         return
     z = complex(row.r, row.x) * tables[number].factor(row.tap, row.shift)
     row.r, row.x = z.real, z.imag
@@ -128,4 +128,4 @@ def bolster(row: StaticBranch, report: Report) -> None:
     if math.hypot(row.r, row.x) < LEAST_PU:
         row.x = LEAST_PU
         if row.on:
-            report.assume(f"transformer without impedance gets {LEAST_PU:g} pu", row.where)
+            report.assume(f"transformer without impedance: x = {LEAST_PU:g} pu", row.where)

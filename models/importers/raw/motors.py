@@ -30,7 +30,7 @@ def read_motors(raw: RawFile, grid: StaticGrid, report: Report) -> None:
             bus.number, "M", record.identity("ID"), power.real, power.imag, record.where, follows=0.0
         )
         grid.loads.append(load)
-        report.assume("induction machine taken as a load of constant P and Q", record.where)
+        report.assume("induction machine modelled as a load of constant P and Q", record.where)
 
 
 def _drawn(record: Record, volts: float, kv: float, base_mva: float) -> complex:

@@ -41,7 +41,7 @@ def read_multi_terminal(raw: RawFile, grid: StaticGrid, report: Report) -> None:
             load = StaticLoad(bus.number, "D", name, float(volts[k] * current[k]), q, converter.where)
             load.follows = 0.0
             grid.loads.append(load)
-        report.assume("multi-terminal dc line taken as constant P and Q at its converters", record.where)
+        report.assume("multi-terminal dc line modelled as constant P and Q at its converters", record.where)
 
 
 def _at_rest(
@@ -70,15 +70,13 @@ def _at_rest(
                 whole, np.append(incidence[:, others] @ current[others], setting[source])
             )
         except np.linalg.LinAlgError:
-            raise record.refused(
-                "the dc network is not connected, allowed: links from every dc bus"
-            ) from None
+            raise record.refused("the dc network is not connected, allowed: links to every dc bus") from None
         volts, current[source] = incidence.T @ solution[:n], solution[n]
         if not np.all(volts[others] * setting[source] > 0.0):
             break
         if np.allclose(current, last, rtol=1e-13, atol=1e-15):
             return volts, current
-    raise record.refused(f"no dc voltages carry the powers of the converters from {setting[source]:g} kV")
+    raise record.refused(f"no dc voltages allow the powers of the converters with {setting[source]:g} kV")
 
 
 def _dc_admittance(buses: list[Record], links: list[Record], at: dict[int, int]) -> np.ndarray:

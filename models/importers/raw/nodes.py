@@ -33,9 +33,7 @@ def read_nodes(raw: RawFile, grid: StaticGrid, report: Report) -> None:
     for what, rows in (("buses", grid.buses), ("loads", grid.loads), ("units", grid.units)):
         report.read[what] = len(rows)
     report.read["fixed shunts"] = sum(s.letter == "C" for s in grid.shunts)
-    report.read["switched shunts, which stay at their stored state"] = sum(
-        s.letter == "S" for s in grid.shunts
-    )
+    report.read["switched shunts: kept at their stored state"] = sum(s.letter == "S" for s in grid.shunts)
 
 
 def _bus(record: Record, grid: StaticGrid) -> None:

@@ -168,7 +168,7 @@ def _left_aside(path: Path, text: str, table: str, names: Iterable[str]) -> Iter
         line = text.count("\n", 0, field.start() if field else begin) + 1
         near = get_close_matches(name, sorted(known - {*names}), 3, 0.5)
         hint = f"; did you mean {' or '.join(near)}?" if near else ""
-        yield f"{path}:{line}: field {name!r} of {table}, which RAW {VERSION} does not have, left aside{hint}"
+        yield f"{path}:{line}: field {name!r} of {table}, which RAW {VERSION} does not have, ignored{hint}"
 
 
 def _line(names: Mapping[str, int], values: Mapping[str, Any], other: Mapping[str, str]) -> str:

@@ -57,14 +57,16 @@ def _decoded(path: Path, content: bytes) -> str:
         zero = content.find(b"\0")
         if zero >= 0:
             line = content.count(b"\n", 0, zero) + 1
-            raise CaseError(f"{path}:{line}: a zero byte: this is no text file")
+            raise CaseError(f"{path}:{line}: a zero byte: not a text file")
         encodings = ["utf-8-sig", "cp1252", "latin-1"]
     for encoding in encodings:
         try:
             return content.decode(encoding)
         except UnicodeDecodeError:
             continue
-    raise CaseError(f"{path}: begins as UTF-16 but is not, allowed: UTF-8, UTF-16 with mark, code page 1252")
+    raise CaseError(
+        f"{path}: has a mark of UTF-16 but is not UTF-16, allowed: UTF-8, UTF-16 with mark, code page 1252"
+    )
 
 
 def split_words(text: str, where: str) -> tuple[str, ...]:
@@ -78,8 +80,8 @@ def split_words(text: str, where: str) -> tuple[str, ...]:
     words, behind = split_record(text, where)
     if behind is not None and _HIDDEN.search(behind):
         raise CaseError(
-            f"{where}: a record stands behind the / that ends this one, allowed: comment; put it on a line "
-            f"of its own: {behind.strip()[:40]}"
+            f"{where}: a record follows the / that ends this one, allowed: comment; put it on a separate "
+            f"line: {behind.strip()[:40]}"
         )
     return words
 

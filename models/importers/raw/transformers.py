@@ -94,9 +94,7 @@ def _three(
         for k, number in enumerate(numbers)
     ]
     if on_pairs:
-        report.assume(
-            "correction tables on the pairs (ZCOD 1) taken as of windings 1-2, 2-3, 3-1", head.where
-        )
+        report.assume("correction tables on the pairs (ZCOD 1) used as of windings 1-2, 2-3, 3-1", head.where)
         z12, z23, z31 = z12 * factor[0], z23 * factor[1], z31 * factor[2]
     legs = [(z12 + z31 - z23) / 2, (z12 + z23 - z31) / 2, (z23 + z31 - z12) / 2]
     circuit = head.identity("CKT")
@@ -134,7 +132,7 @@ def _star_buses(head: Record, status: int, grid: StaticGrid, report: Report) -> 
         if k not in _OUT[status]:
             grid.bus(bus, head.where)
         elif bus not in grid.buses:
-            report.drop("winding out of service at a bus that is not there", head.where)
+            report.drop("winding out of service at a bus that does not exist", head.where)
     if len(set(buses)) < 3:
         raise head.refused(f"windings at buses {buses}, allowed: three buses")
     return buses
@@ -191,7 +189,7 @@ def _impedance(
     kv, nominal = _base_kv(bus, winding, grid), winding.number("NOMV", 0.0)
     if kv > 0.0 and nominal > 0.0 and abs(nominal - kv) > 1e-6 * kv:
         report.assume(
-            "impedance on the winding's own base (CZ 2, 3) taken at NOMV, not at BASKV", winding.where
+            "impedance on the winding's own base (CZ 2, 3) referred to NOMV, not to BASKV", winding.where
         )
         scale *= (nominal / kv) ** 2
     return complex(r, x) * scale
@@ -207,7 +205,7 @@ def _magnetising(
         base = impedance.number("SBASE1-2", grid.base_mva)
         g /= 1e6 * base
         if not abs(g) <= abs(b):
-            raise head.wrong("MAG1", head.text("MAG1"), "losses below what MAG2 says")
+            raise head.wrong("MAG1", head.text("MAG1"), "losses below those of MAG2")
         b = -math.sqrt(b * b - g * g)
         kv, nominal = _base_kv(bus, winding, grid), winding.number("NOMV", 0.0)
         scale = base / grid.base_mva * ((kv / nominal) ** 2 if nominal > 0.0 and kv > 0.0 else 1.0)

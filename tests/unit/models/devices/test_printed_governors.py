@@ -150,7 +150,7 @@ def test_the_signal_of_another_program_is_taken_as_none(tmp_path: Path) -> None:
         record = f"102 'PSSSIM' 1 {k} 34 30 5 6 7 8 100 20 0.06 0.04 0.08 0.04 1 -1 /"
         cases.append(case_with(SEXS + record, tmp_path))
         report = import_psse(tmp_path / "grid.raw", tmp_path / "grid.dyr").report
-        said.append([line for line in report.assumed if "another program hands" in line])
+        said.append([line for line in report.assumed if "which another program supplies" in line])
         with pytest.raises(CaseError, match="--strict"):
             import_psse(tmp_path / "grid.raw", tmp_path / "grid.dyr", strict=True)
     assert cases[0] == cases[1]
@@ -163,7 +163,7 @@ REFUSED = {
         r"ERR = 0\.02, DB1 = 0\.01, allowed: ERR <= DB1; outside its deadband"
     ),
     "102 'IEEEST' 1 1 7 0 0 0 0 0 0 0 0 0 0 5 10 3 0.1 -0.1 0 0 /": r"IEEEST field 2 \(BUS\) = 7, allowed: 0",
-    "102 'MAXEX1' 1 0 /": "'MAXEX1' .* over-excitation limiter; .*--leave-out MAXEX1 goes on without it",
+    "102 'MAXEX1' 1 0 /": "'MAXEX1' .* over-excitation limiter; .*--leave-out MAXEX1 omits it",
 }
 
 

@@ -221,7 +221,7 @@ def test_a_record_names_bus_and_branch(tmp_path, where, wanted):
 @pytest.mark.parametrize(
     ("where", "says"),
     [
-        ("99 0 0 0", "REPCA1 regulates bus 99, which the grid does not have in service; give 0"),
+        ("99 0 0 0", "REPCA1 regulates bus 99, which is not in service; give 0"),
         ("0 4 9 1", "REPCA1 measures branch 4-9 '1', allowed: a line or transformer"),
         ("0 8 9 7", "REPCA1 measures branch 8-9 '7', allowed"),
     ],

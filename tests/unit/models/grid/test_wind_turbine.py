@@ -301,9 +301,9 @@ def test_what_a_record_writes_otherwise_is_told(tmp_path):
     assert [values[key] for key in keys] == [0.006, 3.0, 5.0, 0.0, 0.0, 0.0]
     lines = imported.report.text()
     for what in (
-        "first of three fields of WTARA1 left out",
-        "WTDTA1 without Dshaft, which one mass does not have",
-        "PFLAG = 1 beside a WTTQA1, which multiplies by the speed already, taken as 0",
+        "first of three fields of WTARA1 ignored",
+        "WTDTA1 without Dshaft, which a single mass does not have",
+        "PFLAG = 1 with a WTTQA1, which already multiplies by the speed: 0 used",
     ):
         assert what in lines
 

@@ -74,7 +74,7 @@ IN_RAW = {
     "a machine without bus": (("\n1,'1 ',0,0,99", "\n77,'1 ',0,0,99"), "/grid.raw:13: bus 77 does not exist"),
     "a flow that does not converge": (
         ("80.0,20.0,5.0", "8000.0,20.0,5.0"),
-        "largest mismatch 6218 MVA at bus 3 (/grid.raw:6); its best voltages reach from 1.02 pu at bus 1 to",
+        "largest mismatch 6218 MVA at bus 3 (/grid.raw:6); its best voltages range from 1.02 pu at bus 1 to",
     ),
     "a version that is no number": (
         ("100.0, 33", "100.0, v33"),
@@ -130,7 +130,7 @@ def test_a_machine_whose_bus_the_grid_does_not_have_is_told_with_its_line(tmp_pa
     raw, dyr = tmp_path / "grid.raw", tmp_path / "grid.dyr"
     raw.write_text(RAW)
     dyr.write_text(DYR + MACHINE.replace("1 'GENROU'", "99 'GENROU'"))
-    what = "DYR record of a unit that the grid does not have left out"
+    what = "DYR record of a unit that is not in the grid: ignored"
     report = import_psse(raw, dyr).report
     assert report.assumed[what] == 1 and report.first[what].endswith(f"grid.dyr:{LINES + 1}")
 
@@ -207,7 +207,7 @@ def test_a_second_branch_of_one_identifier_is_a_further_circuit_which_is_said(tm
     imported = import_psse(path)
     between = [b for b in imported.case.branches if {b.from_bus, b.to_bus} == {2, 3}]
     assert [complex(b.r, b.x) for b in between] == [0.01 + 0.1j] * 3 and len({b.name for b in between}) == 3
-    what = "branch whose identifier is given twice taken as a further circuit"
+    what = "branch whose identifier is given twice: read as another circuit"
     assert imported.report.assumed[what] == 2
     with pytest.raises(CaseError, match=rf"grid\.raw:\d+: {what}, which --strict does not allow"):
         import_psse(path, strict=True)

@@ -33,12 +33,10 @@ def loads(imported: Imported) -> dict[str, tuple[float, float, float, float]]:
 
 def test_a_record_left_out_is_said(tmp_path: Path) -> None:
     limiter = "1 'MAXEX1' 1 1.0 2.6 1.05 40 1.1 20 1.25 5 1.0 -0.05 0.0 /\n"
-    with pytest.raises(
-        CaseError, match=r"an over-excitation .* left out, .*--leave-out MAXEX1 goes on without"
-    ):
+    with pytest.raises(CaseError, match=r"an over-excitation .* without it .*--leave-out MAXEX1 omits it"):
         taken(tmp_path, SEXS + limiter)
     left = taken(tmp_path, SEXS + limiter, leave_out=["maxex1"])
-    assert left.report.assumed["MAXEX1 left out, as was asked"] == 1
+    assert left.report.assumed["MAXEX1 left out as requested"] == 1
     assert left.case == taken(tmp_path, SEXS).case
 
 
@@ -67,7 +65,7 @@ def test_a_record_read_as_another_model_is_that_model(tmp_path: Path) -> None:
     read = taken(tmp_path, western, replace_models={"WSIEG1": "IEEEG1"})
     plain = taken(tmp_path, f"1 'IEEEG1' 1 {TURBINE} /\n")
     assert read.case.machine("G1").governor == plain.case.machine("G1").governor
-    assert f"WSIEG1 read as IEEEG1, as was asked, its last 14 field(s) {curve} left out" in (
+    assert f"WSIEG1 read as IEEEG1 as requested, its last 14 field(s) {curve} left out" in (
         read.report.assumed
     )
 
@@ -104,7 +102,7 @@ def test_a_third_field_of_gencls_is_left_out_and_said(tmp_path: Path) -> None:
     (tmp_path / "grid.dyr").write_text(text)
     read = import_grid(tmp_path / "grid.raw", dyr=tmp_path / "grid.dyr")
     assert {m.model for m in read.case.machines} == {"classical"}
-    assert read.report.assumed["third field of GENCLS left out: the reactance is that of the RAW"] == 4
+    assert read.report.assumed["third field of GENCLS ignored: the reactance of the RAW is used"] == 4
 
 
 @pytest.mark.parametrize(("subtransient", "reported"), [("0.3002", True), ("0.31", False)])
@@ -119,7 +117,7 @@ def test_a_transient_reactance_below_the_subtransient_by_rounding(
         return
     read = import_grid(tmp_path / "grid.raw", dyr=tmp_path / "grid.dyr")
     assert read.case.machine("G1").Xd2 == read.case.machine("G1").Xd1 == 0.3
-    assert read.report.assumed["Xd2 above Xd1 by rounding: taken as Xd1"] == 4
+    assert read.report.assumed["Xd2 above Xd1 by rounding: Xd1 used"] == 4
 
 
 ALL = "0 'IEELAL' '*' 0.0 1.0 0.0 0.0 0.0 1.0 0.0 0.0 1.0 1.0 1.0 2.0 0.0 0.0 /\n"
@@ -132,7 +130,7 @@ def test_how_loads_follow_the_voltage_stands_in_the_file(tmp_path: Path) -> None
     assert loads(read) == {"L7": (967.0, 1.0, 100.0, 0.0), "L9": (1767.0, 1.0, 100.0, 0.0)}
     assert not any("constant impedance" in line for line in read.report.assumed)
     own = taken(tmp_path, ONE + ALL)
-    assert own.report.assumed["IEELBL: how loads follow the frequency (a7, a8) left out"] == 1
+    assert own.report.assumed["IEELBL: frequency dependence of loads (a7, a8) ignored"] == 1
     rows = loads(own)
     assert rows.pop("L9") == (1767.0, 1.0, 100.0, 0.0)
     parts = sorted(rows.values())

@@ -66,7 +66,7 @@ def test_relays_and_units_that_are_not_there_are_counted(write: Write) -> None:
     text = dyr_text(case) + "1 'VTGTPA' 1 0 0 0 /\n9 'GENCLS' 1 4.0 0.0 /\n"
     report = import_psse(write("grid.raw", raw_text(case)), write("grid.dyr", text)).report
     assert report.dropped["relay or meter"] == 1
-    assert report.assumed["DYR record of a unit that the grid does not have left out"] == 1
+    assert report.assumed["DYR record of a unit that is not in the grid: ignored"] == 1
 
 
 def test_another_reactance_in_the_raw_file_is_told(write: Write) -> None:
@@ -75,7 +75,7 @@ def test_another_reactance_in_the_raw_file_is_told(write: Write) -> None:
     text = raw_text(case)
     report = import_psse(write("grid.raw", text), dyr).report
     other = import_psse(write("grid.raw", text.replace(f",{case.machines[0].Xd1},", ",0.25,")), dyr).report
-    what = "X''d of the DYR taken, ZX of the RAW is another"
+    what = "X''d of the DYR used; ZX of the RAW differs"
     assert (report.assumed[what], other.assumed[what]) == (4, 0)
 
 
@@ -226,7 +226,7 @@ def test_a_subtransient_reactance_below_the_leakage_is_taken_and_told(write: Wri
     )
     imported = import_psse(write("grid.raw", raw_text(case)), write("grid.dyr", dyr_text(case)))
     assert {m.Xd2 for m in imported.case.machines} == {0.15}
-    assert imported.report.assumed["X''d below the leakage reactance Xl: taken as it is"] == 4
+    assert imported.report.assumed["X''d below the leakage reactance Xl: used unchanged"] == 4
 
 
 @pytest.mark.parametrize(("converters_as_current", "exponent"), [(False, 0.0), (True, 1.0)])
@@ -244,7 +244,7 @@ def test_a_unit_without_dynamic_data_is_an_injection_which_is_said(
     assert (injection.P_exponent, injection.Q_exponent) == (exponent, exponent)
     assert injection.P_mw == pytest.approx(-case.machine("G4").P_mw)
     said = {0.0: "constant P and Q", 1.0: "a constant current"}[exponent]
-    assert imported.report.assumed[f"unit without DYR record taken as {said}"] == 1
+    assert imported.report.assumed[f"unit without DYR record modelled as {said}"] == 1
 
 
 RAW_REFUSED = [
@@ -385,7 +385,7 @@ def test_import_command_writes_a_case_that_loads_and_refuses_other_files(
     code, message = call(write("grid.epc", ""), "--out", out)
     assert code == 2 and "suffix '.epc', allowed: .raw" in message
     code, message = call(raw, "--dyr", dyr, "--out", out, "--strict")
-    assert code == 2 and "the stored voltages being no solution, which --strict does not" in message
+    assert code == 2 and "because the stored voltages are not a solution, which --strict does not" in message
 
 
 def test_export_command_writes_a_variant_that_loads(tmp_path, monkeypatch, capsys):

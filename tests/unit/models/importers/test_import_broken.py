@@ -145,7 +145,7 @@ def test_a_huge_dyr_file_is_read(tmp_path: Path) -> None:
     raw = tmp_path / "grid.raw"
     raw.write_text(raw_grid(33))
     report = import_psse(raw, path).report
-    assert report.assumed["DYR record of a unit that the grid does not have left out"] == 190_000 * TIMES - 2
+    assert report.assumed["DYR record of a unit that is not in the grid: ignored"] == 190_000 * TIMES - 2
 
 
 @pytest.mark.slow

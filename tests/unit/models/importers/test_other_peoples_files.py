@@ -53,7 +53,7 @@ def test_a_line_of_comment_that_looks_like_a_record_is_named(spoiled: str, tmp_p
         with pytest.raises(CaseError, match=rf"grid\.dyr:{line + 1}: bus = "):
             read_dyr(_written(tmp_path, text))
         return
-    said = f"line {line}, which names {model}, begins with no bus number"
+    said = f"line {line}, which names {model}, has no bus number"
     assert [note for note in result.notes if said in note and f"grid.dyr:{line}:" in note]
     assert result.comments == 2
     with pytest.raises(CaseError, match=r"names EXST1.*--strict"):
@@ -73,7 +73,7 @@ def test_a_record_behind_the_slash_of_another_is_read(tmp_path: Path) -> None:
     result, whole = (read_dyr(_written(tmp_path, text)) for text in (joined, DYR))
     assert [r.fields for r in result.records] == [r.fields for r in whole.records]
     assert result.notes == (
-        f"{tmp_path}/grid.dyr:{k}: EXST1 begins behind the / of another record; read as two",
+        f"{tmp_path}/grid.dyr:{k}: EXST1 begins after the / of another record; read as two records",
     )
     remark = DYR.replace(" /\n", " / GENROU of NORTH, from the works\n", 1)
     assert read_dyr(_written(tmp_path, remark)).notes == ()
@@ -81,7 +81,7 @@ def test_a_record_behind_the_slash_of_another_is_read(tmp_path: Path) -> None:
         read_dyr(_written(tmp_path, "1.5 'SEXS' 1 0.1 10 100 0.1 -5 5 /\n"))
 
 
-# ---------------------------------------------------------------- out of service at a bus that is not there
+# ---------------------------------------------------------------- out of service at a bus that does not exist
 
 ABSENT = {
     "load": "9999,'9',0,1,1,967.0,100.0,0,0,0,0,1",
@@ -98,7 +98,7 @@ ABSENT = {
 def test_a_record_out_of_service_may_stand_at_a_bus_that_is_not_there(section: str, tmp_path: Path) -> None:
     plain = taken(tmp_path, raw_grid(33)).case
     imported = taken(tmp_path, raw_grid(33, extra={section: [ABSENT[section]]}))
-    assert imported.report.dropped[f"{section} out of service at a bus that is not there"] == 1
+    assert imported.report.dropped[f"{section} out of service at a bus that does not exist"] == 1
     assert imported.case == plain
     fields = ABSENT[section].split(",")
     at = {"load": 2, "fixed shunt": 2, "generator": 14, "branch": 13, "transformer": 11}.get(section)
@@ -113,7 +113,7 @@ def test_a_winding_out_of_service_may_end_at_a_bus_that_is_not_there(tmp_path: P
         "1,3,9999,'9',1,1,1,0,0,2,'T',3,1,1\n0.01,0.2,100,0.01,0.2,100,0.01,0.2,100,1,0\n1,0,0\n1,0,0\n1,0,0"
     )
     imported = taken(tmp_path, raw_grid(33, extra={"transformer": [star]}))
-    assert imported.report.dropped["winding out of service at a bus that is not there"] == 1
+    assert imported.report.dropped["winding out of service at a bus that does not exist"] == 1
     legs = [b for b in imported.case.branches if "winding" in b.name and "9999" in b.name]
     assert sum(complex(b.r, b.x) for b in legs) == pytest.approx(0.01 + 0.2j)
     with pytest.raises(CaseError, match="bus 9999 does not exist"):
@@ -211,7 +211,7 @@ def test_columns_that_a_file_scales_are_scaled(tmp_path: Path) -> None:
         imported = taken(tmp_path, FEEDER + code, "grid.m")
         assert [b.r for b in imported.case.branches] == pytest.approx([0.02 / Zbase] * 2, rel=1e-14)
         assert [b.x for b in imported.case.branches] == pytest.approx([0.04 / Zbase] * 2, rel=1e-14)
-        assert imported.report.read["statements that change a table, which were done"] == 1
+        assert imported.report.read["statements that change a table: executed"] == 1
     code = "define_constants;\npf = 0.8;\nmpc.bus(:, QD) = mpc.bus(:, PD) * sin(acos(pf));\n"
     code += "mpc.bus(:, PD) = mpc.bus(:, PD) * pf;\nmpc.bus(3, 3) = 0.7;\n"
     loads = {load.bus: load for load in taken(tmp_path, FEEDER + code, "grid.m").case.loads}
@@ -246,18 +246,18 @@ def test_any_other_statement_is_refused_with_its_line(code: str, tmp_path: Path)
 def test_what_plays_no_part_in_a_matpower_file_is_told(tmp_path: Path) -> None:
     more = "mpc.gencost = [2 0 0 3 0.1 5 0;];\nmpc.bus_name = {\n'A; ]'; 'B % b'; 'C';\n};\n"
     imported = taken(tmp_path, FEEDER + more + "%{\nmpc.bus(1,3) = 9;\n%}\n", "grid.m")
-    left_out = {f"mpc.{name}, which plays no part" for name in ("gencost", "bus_name")}
+    left_out = {f"mpc.{name}: ignored" for name in ("gencost", "bus_name")}
     assert left_out <= set(imported.report.dropped)
     imported = taken(tmp_path, FEEDER + "mpc.baseMVA = 2;\n", "grid.m")
     assert imported.case.base_mva == 2.0
-    assert imported.report.assumed["mpc.baseMVA is given twice: the later one taken"]
+    assert imported.report.assumed["mpc.baseMVA is given twice: the later one used"]
     uneven = FEEDER.replace("2 3 0.02 0.04", "2 3 0.020.04")
     with pytest.raises(CaseError, match=r"grid\.m:12: mpc\.branch: '0\.020\.04' is not a number"):
         taken(tmp_path, uneven, "grid.m")
     with pytest.raises(CaseError, match=r"grid\.m:6: mpc\.bus: 12 columns, allowed: 13 as in its other rows"):
         taken(tmp_path, FEEDER.replace("2 1 0.6 0.3", "2 1 0.6"), "grid.m")
     imported = taken(tmp_path, FEEDER.replace("10 0; ];", "10 0;\n99 0 0 10 -10 1 1 0 10 0; ];"), "grid.m")
-    assert imported.report.dropped["unit out of service at a bus that is not there"] == 1
+    assert imported.report.dropped["unit out of service at a bus that does not exist"] == 1
 
 
 # ---------------------------------------------------------------- negative damping coefficient
@@ -294,5 +294,5 @@ Q
 def test_a_line_that_begins_with_two_slashes_is_comment_in_a_raw_file_too(tmp_path: Path) -> None:
     text = RAW.rstrip().removesuffix("Q").rstrip() + "\n//Generated by a program; 629.3\n"
     imported = taken(tmp_path, text)
-    assert "a line that begins with // taken as comment" in imported.report.assumed
+    assert "a line that begins with // treated as comment" in imported.report.assumed
     assert [bus.number for bus in imported.case.buses] == [bus.number for bus in CASE.buses]

@@ -40,7 +40,7 @@ def test_the_bundled_grid_is_what_the_import_makes_of_the_published_files():
         if key[0] not in words:  # another processor's BLAS rounds the power flow another way
             same = ours[key] == value
             assert same or ours[key] == pytest.approx(value, rel=1e-9, abs=1e-11), key
-    assert imported.report.assumed["converter taken as a constant current"] == 37
+    assert imported.report.assumed["converter modelled as a constant current"] == 37
 
 
 @pytest.fixture
@@ -90,7 +90,7 @@ def test_what_pip_leaves_when_it_is_killed_goes_with_the_folder(tmp_path, monkey
         return subprocess.CompletedProcess(command, -9, "", "killed\n")
 
     monkeypatch.setattr(module, "run_guarded", killed)
-    with pytest.raises(CaseError, match="pip does not get it: killed"):
+    with pytest.raises(CaseError, match="pip cannot download it: killed"):
         module.fetched(module.ANDES, tmp_path)
     assert own == [[tmp_path / "pip"] * 3] and own[0][0].is_dir()
 
@@ -98,6 +98,8 @@ def test_what_pip_leaves_when_it_is_killed_goes_with_the_folder(tmp_path, monkey
 def test_a_registry_that_does_not_answer_is_one_line(tmp_path, monkeypatch):
     refused = subprocess.CompletedProcess([], 1, "", "WARNING: retrying\nERROR: No matching distribution\n")
     monkeypatch.setattr(module, "run_guarded", lambda *_, **__: refused)
-    with pytest.raises(CaseError, match=r"andes==2\.0\.0: pip does not get it: ERROR: No matching") as caught:
+    with pytest.raises(
+        CaseError, match=r"andes==2\.0\.0: pip cannot download it: ERROR: No matching"
+    ) as caught:
         module.fetched(module.ANDES, tmp_path)
     assert "\n" not in str(caught.value)

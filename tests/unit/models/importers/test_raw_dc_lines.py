@@ -75,9 +75,9 @@ def test_a_dc_line_becomes_a_link_with_its_powers_at_both_ends(tmp_path, version
     [
         ({"tap": 1.3}, "its delay angle would be below 5 deg; set a lower TAP"),
         ({"xcap": 2.0}, r"commutation capacitors \(XCAP\) are not modelled; set them to 0"),
-        ({"setting": 0.0}, "it carries nothing; set SETVL"),
+        ({"setting": 0.0}, "it carries no power; set SETVL"),
         ({"to": 2}, "one end is not in the case, or both are at one node"),
-        ({"as_power": True}, "as asked for"),
+        ({"as_power": True}, "as requested"),
     ],
 )
 def test_what_no_link_can_hold_stays_a_constant_power_with_the_reason(tmp_path, values, reason):
@@ -85,7 +85,7 @@ def test_what_no_link_can_hold_stays_a_constant_power_with_the_reason(tmp_path, 
     assert result.case.hvdcs == ()
     assert sum(load.name.startswith("D") for load in result.case.loads) == 2
     (remark,) = [
-        text for text in result.report.assumed if text.startswith("dc line taken as constant P and Q")
+        text for text in result.report.assumed if text.startswith("dc line modelled as constant P and Q")
     ]
     assert re.search(reason, remark)
     assert ".raw:" in result.report.first[remark]

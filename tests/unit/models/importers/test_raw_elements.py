@@ -237,7 +237,7 @@ def test_a_multi_terminal_line_balances_at_the_converter_that_holds_its_voltage(
             r"JDC \(field 2\) = 7, allowed: a dc bus of the line: 1, 2, 3, 4",
         ),
         ("3,4,'1',1,10.0", "2,4,'2',1,10.0", "the dc network is not connected"),
-        ("0.01,-50.0,", "0.01,-5000.0,", "no dc voltages carry the powers"),
+        ("0.01,-50.0,", "0.01,-5000.0,", "no dc voltages allow the powers"),
         ("3,3,1,1,'D3'", "3,8,1,1,'D3'", "no dc bus belongs to the converter at bus 3"),
     ],
 )
@@ -379,7 +379,7 @@ def test_what_is_out_of_service_is_counted(tmp_path: Path) -> None:
     text = raw_grid(33).replace("3,'1 ',1,1.5,12.0", "3,'1 ',1,1.5,12.0\n3,'2',0,0,50.0\n4,'9',1,0,5.0")
     report = of_text(tmp_path, text).report
     assert report.dropped["shunt out of service"] == 1 and report.dropped["isolated bus (type 4)"] == 1
-    assert report.assumed["shunt in service at an isolated bus taken as out of service"] == 1
+    assert report.assumed["shunt in service at an isolated bus: treated as out of service"] == 1
     text = report.text()
     assert "read: 4 buses, 1 loads, 1 units, 3 fixed shunts" in text and "(" in text.splitlines()[1]
 
@@ -391,10 +391,12 @@ def test_records_of_sections_that_play_no_part_are_counted(tmp_path: Path) -> No
         "area": ["1,1,0,10,'A'"],
     }
     plain, report = of_text(tmp_path, raw_grid(33)), of_text(tmp_path, raw_grid(33, extra=extra)).report
-    counts = {what.split(" record")[0]: n for what, n in report.dropped.items() if "plays no part" in what}
+    counts = {
+        what.split(" record")[0]: n for what, n in report.dropped.items() if what.endswith(" record: ignored")
+    }
     assert counts == {"area": 1, "multi-section line": 1, "owner": 2}
-    assert report.first["owner record, which plays no part"].endswith("grid.raw:33")
-    assert not any("plays no part" in what for what in plain.report.dropped)
+    assert report.first["owner record: ignored"].endswith("grid.raw:33")
+    assert not any(" record: ignored" in what for what in plain.report.dropped)
 
 
 def test_a_flow_without_solution_names_the_worst_bus_and_the_voltages(tmp_path: Path) -> None:
@@ -407,7 +409,7 @@ def test_a_flow_without_solution_names_the_worst_bus_and_the_voltages(tmp_path: 
 
 REFUSED = {
     "multi-terminal dc": (["'M',0,0,0,1,1,0,0"], r"multi-terminal dc record: dc buses without numbers"),
-    "GNE": (["'G','MODEL',1,3,0,0,0,1,1,1"], r"GNE record: has no counterpart here"),
+    "GNE": (["'G','MODEL',1,3,0,0,0,1,1,1"], r"GNE record: has no model here"),
     "FACTS": (["'F',77,0,1"], r"bus 77 does not exist"),
     "two-terminal dc": (["'D',1,10,50,0", "2,2", "3,2"], r"VSCHD \(field 5\) = 0, allowed: above 0 kV"),
     "branch": (["2,2,'1',0,0.1,0"], r"branch record: both ends at bus 2"),

@@ -96,7 +96,7 @@ def test_tables_without_a_part_are_counted_and_settings_taken(tmp_path: Path) ->
     imported = import_grid(
         written(tmp_path, rawx(owner=(["iowner", "owname"], [[1, "A"]]), general=(["thrshz"], [[1e-4]])))
     )
-    assert imported.report.dropped["owner record, which plays no part"] == 1
+    assert imported.report.dropped["owner record: ignored"] == 1
 
 
 WRONG = {
@@ -176,7 +176,7 @@ def test_nothing_is_lost_or_read_as_another_table(what: str, tmp_path: Path) -> 
 def test_a_field_that_raw_does_not_have_is_told(tmp_path: Path) -> None:
     text = load([*FIELDS[:3], "pi", *FIELDS[4:]], ROW)
     line = text[: text.index('"pi"')].count("\n") + 1
-    remark = "field 'pi' of load, which RAW 35 does not have, left aside; did you mean "
+    remark = "field 'pi' of load, which RAW 35 does not have, ignored; did you mean "
     first = import_grid(written(tmp_path, text)).report.first
     assert [at for what, at in first.items() if what.startswith(remark) and " pl" in what] == [
         f"{tmp_path}/grid.rawx:{line}"
@@ -184,4 +184,4 @@ def test_a_field_that_raw_does_not_have_is_told(tmp_path: Path) -> None:
     with pytest.raises(CaseError, match=r"field 'pi' .*--strict"):
         import_grid(tmp_path / "grid.rawx", strict=True)
     later = import_grid(written(tmp_path, load([*FIELDS, "droopname"], [*ROW, "A"]))).report.first
-    assert not any("left aside" in what for what in later)
+    assert not any("which RAW" in what for what in later)
