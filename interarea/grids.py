@@ -72,7 +72,7 @@ def import_case(
     strict : an assumption is an error.
     island : a bus of the island to keep, or "all" with a slack bus; the largest of these when not given.
     converters : "model", or "current" for inverters and units without dynamic data as constant currents.
-    dc_lines : "model", dc links where two-terminal lines can be that, or "power" for constant powers.
+    dc_lines : "model", dc links where two-terminal and VSC lines can be that, or "power" for constant powers.
     coordinates : CSV with the columns bus, latitude, longitude.
     release_limits : widen the limits beyond which controls would start; what was changed is in the report.
     devices : files of user-defined devices; records of their names (USRMDL or not) become these.

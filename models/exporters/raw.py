@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable
 
 from ..case.case import Case
@@ -49,8 +50,9 @@ def raw_of(case: Case, flow: PowerFlow | None = None) -> Written:
         "MULTI-SECTION LINE", "ZONE", "INTER-AREA TRANSFER", "OWNER", "FACTS DEVICE", "SWITCHED SHUNT", "GNE",
         "INDUCTION MACHINE",
     )  # fmt: skip
+    rows = {"TWO-TERMINAL DC": _links(case, flow), "VSC DC LINE": _vsc_links(case, flow)}
     for name, following in zip(rest, (*rest[1:], ""), strict=True):
-        _section(lines, name, following, _links(case, flow) if name == "TWO-TERMINAL DC" else ())
+        _section(lines, name, following, rows.get(name, ()))
     return Written("\n".join([*lines, "Q", ""]), tuple(_losses(original, charged)))
 
 
@@ -145,6 +147,30 @@ def _links(case: Case, flow: PowerFlow) -> Iterable[str]:
         for bus, (least, kv, xc) in zip(ends, of, strict=True):
             tap = "1.0,1.0,1.5,0.51,0.00625"
             yield f"{bus},{row.bridges},90.0,{least!r},0.0,{xc!r},{kv!r},{tap},0,0,0,'1',0.0"
+
+
+def _vsc_links(case: Case, flow: PowerFlow) -> Iterable[str]:
+    """Three lines each; the largest current is that of SMAX at 1 pu, the losses are those of ALOSS."""
+    for row in case.vscs:
+        yield f"'{row.name.removeprefix('vsc_')[:_LONGEST_NAME]}',1,{row.r_ohm!r},1,1.0"
+        ends = (
+            (row.from_bus, 2, -row.P_mw, row.from_keeps, row.from_q_mvar, row.from_loss_mw),
+            (row.to_bus, 1, row.vdc_kv, row.to_keeps, row.to_q_mvar, row.to_loss_mw),
+        )
+        limits = ((row.from_i_max_pu, row.from_priority), (row.to_i_max_pu, row.to_priority))
+        for (bus, kind, dc, keeps, q, loss), (limit, priority) in zip(ends, limits, strict=True):
+            mode, ac = (1, float(abs(flow.voltage(bus)))) if keeps == "v" else (2, _power_factor(row.P_mw, q))
+            smax, pwf = limit * row.base_mva, float(priority == "p")
+            yield (
+                f"{bus},{kind},{mode},{dc!r},{ac!r},{1000.0 * loss!r},0.0,0.0,{smax!r},0.0,{pwf!r},"
+                "9999.0,-9999.0,0,100.0"
+            )
+
+
+def _power_factor(p: float, q: float) -> float:
+    """Return the power factor, below 0 where it draws reactive power."""
+    size = math.hypot(p, q)
+    return math.copysign(abs(p) / size, q) if size > 0.0 else 1.0
 
 
 def machine_identities(case: Case) -> dict[str, str]:

@@ -55,16 +55,12 @@ def losses_of_network(case: Case, *, links: bool = False) -> list[str]:
 def _devices(case: Case, *, links: bool) -> list[str]:
     """What is lost of devices at buses."""
     losses = []
-    written = {d.name for d in case.hvdcs} if links else set()
+    written = {d.name for d in case.links} if links else set()
     others = [d.name for d in case.at_buses if d.name not in written]
     if others:
-        what = (
-            "SVCs, STATCOMs, converters and VSC dc links"
-            if links
-            else "SVCs, STATCOMs, converters and dc links"
-        )
+        what = f"SVCs, STATCOMs{' and converters' if links else ', converters and dc links'}"
         losses.append(f"{what} with their power ({named(others)})")
-    if links and case.hvdcs:
-        names = named(row.name for row in case.hvdcs)
-        losses.append(f"control, rating and inductance of dc links ({names})")
+    if written:
+        names = named(row.name for row in case.links)
+        losses.append(f"control, rating, inductance and capacitance of dc links ({names})")
     return losses

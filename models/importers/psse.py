@@ -23,7 +23,7 @@ from .imported import Imported
 from .load_records import take_load_records
 from .places import read_places
 from .raw.converters import read_converters
-from .raw.dc_links import link_rows, said, take_links, wheres
+from .raw.dc_links import link_rows, said, take_links
 from .raw.file import RawFile, read_raw
 from .raw.lines import read_lines_of
 from .raw.motors import read_motors
@@ -32,6 +32,7 @@ from .raw.nodes import read_nodes
 from .raw.rawx import is_rawx, read_rawx
 from .raw.record import Record
 from .raw.transformers import read_transformers
+from .raw.vsc_links import read_vsc_lines
 from .report import Report
 from .static import USUAL_HZ, StaticGrid, StaticLink
 from .stored import decide_units_at_load_buses, solve_stored
@@ -65,7 +66,8 @@ def import_psse(
     strict : an assumption is an error. island : a bus of the island to keep, when there are several,
         or "all" with a slack bus.
     converters_as_current : converters become constant currents instead of what their records say.
-    dc_lines_as_power : two-terminal dc lines stay constant powers, where a dc link could hold them too.
+    dc_lines_as_power : two-terminal and VSC dc lines stay constant powers, even where a dc link could hold
+    them.
     coordinates : CSV with bus, latitude, longitude. frequency_hz : for a file that has none; 60 Hz when not
     given. devices : files of user-defined devices, which records of their names (USRMDL or not) become.
     leave_out : models whose records are passed over. replace : model -> the one that its records are read
@@ -107,7 +109,7 @@ def import_psse(
         _compare_reactances(grid, names, dynamics, report)
         _take_impedances(grid, names, dynamics)
         grid.source += f" and {Path(dyr).name}"
-    links = take_links(grid, solution.voltages, report, as_power=dc_lines_as_power)
+    links, vscs, where = take_links(grid, solution.voltages, report, as_power=dc_lines_as_power)
     exponents = load_exponents(P_exponent, Q_exponent, grid, report, str(path))
     document = document_of(
         grid,
@@ -120,10 +122,9 @@ def import_psse(
     )
     _take_rows(document, dynamics)
     _take_measured(records, grid, document, machine_of)
-    document["hvdcs"] = link_rows(links, solution.voltages)
+    document |= {"hvdcs": link_rows(links, solution.voltages), "vscs": vscs}
     document["devices"] = provided["devices"]
-    lines = {name: unit.where for name, unit in zip(names, grid.units, strict=True)} | dynamics.where
-    lines |= wheres(links)
+    lines = {name: unit.where for name, unit in zip(names, grid.units, strict=True)} | dynamics.where | where
     case = _case_with_lines(document, str(path), lines)
     return Imported(_settled(case, links, report), report, solution)
 
@@ -236,7 +237,7 @@ def _case_with_lines(document: dict[str, Any], where: str, lines: Mapping[str, s
     try:
         return case_of(document, where=where)
     except CaseError as error:
-        machine = re.search(r"(?:machines|converters|svcs|hvdcs)\.(\w+)", str(error))
+        machine = re.search(r"(?:machines|converters|svcs|hvdcs|vscs)\.(\w+)", str(error))
         line = lines.get(machine.group(1)) if machine else None
         raise CaseError(f"{error} (given at {line})" if line else str(error)) from None
 
@@ -257,6 +258,7 @@ def static_grid(file: RawFile, report: Report, frequency_hz: float | None = None
         read_lines_of,
         read_transformers,
         read_converters,
+        read_vsc_lines,
         read_multi_terminal,
         read_motors,
     )

@@ -132,6 +132,20 @@ class StaticLink:
     row: dict[str, float]
 
 
+@dataclass(slots=True)
+class StaticVsc:
+    """A dc line with voltage-source converters, which also stand among the loads.
+
+    row : of a case, without powers. rating : of each converter, MVA, and A of its ac current; 0: none.
+    """
+
+    name: str
+    where: str
+    loads: tuple[StaticLoad, StaticLoad]  #: of the end that controls the power, and of the other
+    row: dict[str, float | str]
+    rating: tuple[tuple[float, float], tuple[float, float]]
+
+
 @dataclass
 class StaticGrid:
     """All elements of a file; buses by number in the order of the file."""
@@ -144,7 +158,7 @@ class StaticGrid:
     shunts: list[StaticShunt] = field(default_factory=list)
     loads: list[StaticLoad] = field(default_factory=list)
     units: list[StaticUnit] = field(default_factory=list)
-    links: list[StaticLink] = field(default_factory=list)
+    links: list[StaticLink | StaticVsc] = field(default_factory=list)
     alias: dict[int, int] = field(default_factory=dict)  #: bus joined to another -> that one
     added: int = 0  #: number of the bus added last
 

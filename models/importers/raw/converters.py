@@ -1,4 +1,4 @@
-"""Dc lines and FACTS devices of a RAW file as what they take from and give to their buses at rest."""
+"""Dc lines of thyristors and FACTS devices of a RAW file as what they take from their buses at rest."""
 
 from __future__ import annotations
 
@@ -14,27 +14,20 @@ _INJECTION = 0.0  #: exponent with which such power follows the voltage in the d
 
 
 def read_converters(raw: RawFile, grid: StaticGrid, report: Report) -> None:
-    """Put two-terminal dc lines, VSC lines and FACTS devices of `raw` into `grid` as injections."""
+    """Put two-terminal dc lines and FACTS devices of `raw` into `grid` as injections."""
     for record in usable(raw.records("two-terminal dc"), grid, report):
         if record.whole("MDC", 0) == 0:
             report.drop("blocked dc line", record.where)
             continue
         _two_terminal(record, raw, grid, report)
-    for record in usable(raw.records("VSC dc"), grid, report):
-        if record.whole("MDC", 1) == 0:
-            report.drop("VSC line out of service", record.where)
-            continue
-        if _vsc(record, raw, grid):
-            report.assume("VSC line modelled as constant P and Q at its converters", record.where)
-        else:
-            report.drop("VSC line out of service", record.where)
     for record in usable(raw.records("FACTS"), grid, report):
         _facts(record, grid, report)
 
 
-def _add(
+def add_load(
     grid: StaticGrid, record: Record, bus: int, letter: str, end: str, power: complex, *, q_free: bool = False
 ) -> StaticLoad:
+    """Add what a converter takes, MW and Mvar; q_free : its Q follows from the stored voltages."""
     bus = grid.bus(bus, record.where).number
     load = StaticLoad(bus, letter, f"{record.text('NAME')}_{end}", power.real, power.imag, record.where)
     load.follows, load.q_free = _INJECTION, q_free
@@ -67,7 +60,7 @@ def _two_terminal(record: Record, raw: RawFile, grid: StaticGrid, report: Report
         number = converter.bus("IP")
         bus = grid.bus(number, converter.where)
         q = reactive_power(converter, bus.v, dc_volts, current, sign, report)
-        loads.append(_add(grid, record, number, "D", end, complex(sign * dc_volts * current, q)))
+        loads.append(add_load(grid, record, number, "D", end, complex(sign * dc_volts * current, q)))
     order = {"idc_ka": current} if mode == 2 else {"P_mw": at_rectifier * current}
     row = {"vdc_kv": volts, "r_ohm": resistance, **order, "margin": record.number("DELTI", 0.0)}
     row |= {
@@ -121,40 +114,6 @@ def reactive_power(
     return abs(dc_volts * current * ratio)
 
 
-def _vsc(record: Record, raw: RawFile, grid: StaticGrid) -> bool:
-    converters = [raw.part(record, k, "VSC converter") for k in (0, 1)]
-    kinds = [c.code("TYPE", 0, (0, 1, 2)) for c in converters]
-    if 0 in kinds:
-        return False
-    if sorted(kinds) != [1, 2]:
-        raise converters[0].wrong(
-            "TYPE", f"{kinds[0]} and {kinds[1]}", "one voltage end (1), one power end (2)"
-        )
-    holds, gives = converters[kinds.index(1)], converters[kinds.index(2)]
-    volts, power = holds.number("DCSET"), gives.number("DCSET", 0.0)
-    if not volts > 0.0:
-        raise holds.wrong("DCSET", f"{volts:g}", "above 0 kV at the voltage end")
-    resistance, current = record.number("RDC", 0.0), 0.0  # kA from the voltage to the power end
-    for _ in range(100):
-        needed = power + _losses(gives, current)
-        at_end = volts - resistance * current
-        if not at_end > 0.0:
-            raise record.refused(f"no dc voltage carries {power:g} MW from {volts:g} kV")
-        current, last = needed / at_end, current
-        if abs(current - last) < 1e-14 * (1.0 + abs(current)):
-            break
-    drawn = volts * current + _losses(holds, current)
-    for converter, end, taken in ((gives, "P", -power), (holds, "V", drawn)):
-        _add(grid, record, converter.bus("IBUS"), "D", end, complex(taken, 0.0), q_free=True)
-    return True
-
-
-def _losses(converter: Record, current: float) -> float:
-    """MW lost in a converter at `current` kA; its constants are in kW and kW/A."""
-    line = converter.number("ALOSS", 0.0) + converter.number("BLOSS", 0.0) * 1000.0 * abs(current)
-    return max(converter.number("MINLOSS", 0.0), line) / 1000.0
-
-
 def _facts(record: Record, grid: StaticGrid, report: Report) -> None:
     mode = record.whole("MODE", 1)
     first, second = record.bus("I"), record.bus("J", 0)
@@ -163,21 +122,21 @@ def _facts(record: Record, grid: StaticGrid, report: Report) -> None:
         return
     grid.bus(first, record.where)
     if second == 0:
-        _add(grid, record, first, "F", "S", 0j, q_free=True)
+        add_load(grid, record, first, "F", "S", 0j, q_free=True)
         report.assume("shunt FACTS device modelled as the constant Q of the stored voltages", record.where)
         return
     grid.bus(second, record.where)
     if mode == 1:
         power = complex(record.number("PDES", 0.0), record.number("QDES", 0.0))
-        _add(grid, record, second, "F", "J", -power)
-        _add(grid, record, first, "F", "I", complex(power.real, 0.0), q_free=True)
+        add_load(grid, record, second, "F", "J", -power)
+        add_load(grid, record, first, "F", "I", complex(power.real, 0.0), q_free=True)
         report.assume("series FACTS device modelled as its scheduled power at both ends", record.where)
     elif mode == 2:
         name = record.text("NAME")
         grid.branches.append(
             StaticBranch((first, second), name, first, second, 0.0, 0.0, 0.0, record.where, joins=True)
         )
-        _add(grid, record, first, "F", "S", 0j, q_free=True)
+        add_load(grid, record, first, "F", "S", 0j, q_free=True)
     else:
         raise record.wrong(
             "MODE", str(mode), "0, 1 or 2 (other modes of the series element are not supported)"

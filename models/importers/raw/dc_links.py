@@ -1,4 +1,4 @@
-"""Two-terminal dc lines at the solved voltages: rows of dc links, or what excludes that."""
+"""Two-terminal and VSC dc lines at the solved voltages: rows of dc links, or what excludes that."""
 
 from __future__ import annotations
 
@@ -9,7 +9,9 @@ from typing import Any
 
 from ...errors import CaseError
 from ..report import Report
-from ..static import StaticGrid, StaticLink
+from ..static import StaticGrid, StaticLink, StaticVsc
+from .vsc_links import CONTROL as VSC_CONTROL
+from .vsc_links import vsc_line_text, vsc_row
 
 LEAST_ALPHA, LEAST_GAMMA = 5.0, 8.0  #: deg: a valve does not fire before, a thyristor does not recover after
 _USUAL_GAMMA = 15.0  #: deg, least extinction angle of a control
@@ -19,35 +21,57 @@ _NO_LOAD = 3.0 * math.sqrt(2.0) / math.pi  #: dc voltage of a bridge without cur
 _AS_DROP = 2.0 * math.pi / 3.0  #: reactance of the voltage drop of a commutation resistance
 _NONE = (0.0, 0.0)
 _CONTROL = "dc line: its control, rating and inductance are not in the file: usual values used"
+_KIND = {StaticLink: "dc line", StaticVsc: "VSC line"}
+_PREFIX = {StaticLink: "hvdc_", StaticVsc: "vsc_"}
 
 
 def take_links(
     grid: StaticGrid, voltages: Mapping[int, complex], report: Report, *, as_power: bool = False
-) -> dict[str, StaticLink]:
-    """Return the dc lines of `grid` that a dc link can hold by its name; their converters leave the loads.
+) -> tuple[dict[str, StaticLink], dict[str, dict[str, Any]], dict[str, str]]:
+    """Return the dc lines of `grid` that a dc link can hold, by its name; their converters leave the loads.
 
-    The others stay constant powers, with the reason in `report`. voltages : of the buses, pu. as_power : all
-    stay constant powers.
+    Lines of thyristors come as they are (`link_rows`), those with voltage-source converters as rows; the last
+    value is file and line of each. The others stay constant powers, with the reason in `report`.
+    voltages : of the buses, pu. as_power : all stay constant powers.
     """
     links: dict[str, StaticLink] = {}
+    vscs: dict[str, dict[str, Any]] = {}
+    where: dict[str, str] = {}
     left = {id(load) for load in grid.loads}
     taken: set[int] = set()
     for link in grid.links:
         here = [load for load in link.loads if id(load) in left]
         if not here:
             continue
-        reason, _ = ("as requested", _NONE) if as_power else _held(link, len(here), voltages)
+        reason, row = ("as requested", {}) if as_power else _excluded(link, len(here), grid, voltages)
         if reason:
-            report.assume(f"dc line modelled as constant P and Q at its converters: {reason}", link.where)
+            report.assume(
+                f"{_KIND[type(link)]} modelled as constant P and Q at its converters: {reason}", link.where
+            )
             continue
-        name = "hvdc_" + re.sub(r"[^A-Za-z0-9_]", "_", link.name.strip())[:40]
-        while name in links:
+        name = _PREFIX[type(link)] + re.sub(r"[^A-Za-z0-9_]", "_", link.name.strip())[:40]
+        while name in where:
             name += "_"
-        links[name] = link
-        report.assume(_CONTROL, link.where)
+        where[name] = link.where
         taken |= {id(load) for load in here}
+        if isinstance(link, StaticVsc):
+            vscs[name] = row
+            report.lines.append(vsc_line_text(link, name, row))
+            report.assume(VSC_CONTROL, link.where)
+        else:
+            links[name] = link
+            report.assume(_CONTROL, link.where)
     grid.loads[:] = [load for load in grid.loads if id(load) not in taken]
-    return links
+    return links, vscs, where
+
+
+def _excluded(
+    link: StaticLink | StaticVsc, ends: int, grid: StaticGrid, voltages: Mapping[int, complex]
+) -> tuple[str, dict[str, Any]]:
+    """Return what excludes a link, "" if nothing does, and the row of a VSC; ends : those in the case."""
+    if ends < 2 or link.loads[0].bus == link.loads[1].bus:
+        return "one end is not in the case, or both are at one node; --island all keeps all islands", {}
+    return vsc_row(link, grid, voltages) if isinstance(link, StaticVsc) else (_held(link, voltages)[0], {})
 
 
 def link_rows(links: Mapping[str, StaticLink], voltages: Mapping[int, complex]) -> dict[str, dict[str, Any]]:
@@ -59,7 +83,7 @@ def link_rows(links: Mapping[str, StaticLink], voltages: Mapping[int, complex]) 
     """
     rows = {}
     for name, link in links.items():
-        reason, angles = _held(link, 2, voltages)
+        reason, angles = _held(link, voltages)
         if reason:
             raise CaseError(f"{link.where}: dc line {link.name.strip()!r}: {reason}")
         rows[name] = _row(link, angles)
@@ -75,11 +99,9 @@ def _reactances(link: StaticLink) -> tuple[float, float]:
     )
 
 
-def _held(link: StaticLink, ends: int, voltages: Mapping[int, complex]) -> tuple[str, tuple[float, float]]:
-    """What excludes a link, "" if nothing does, and its angles in deg. ends : how many are in the case."""
+def _held(link: StaticLink, voltages: Mapping[int, complex]) -> tuple[str, tuple[float, float]]:
+    """What excludes a link, "" if nothing does, and its angles in deg."""
     row, xc, none = link.row, _reactances(link), _NONE
-    if ends < 2 or link.loads[0].bus == link.loads[1].bus:
-        return "one end is not in the case, or both are at one node; --island all keeps all islands", none
     if not link.current > 0.0:
         return "it carries no power; set SETVL", none
     if row["rectifier_xcap_ohm"] or row["inverter_xcap_ohm"]:
@@ -128,8 +150,3 @@ def said(link: StaticLink, name: str, row: Mapping[str, Any], alpha_deg: float) 
         f"dc line {link.name.strip()!r}: dc link {name}, {link.volts[1]:.6g} kV at the inverter and "
         f"{link.current:.6g} kA with alpha {alpha_deg:.4g} and gamma {row['gamma_deg']:.4g} deg"
     )
-
-
-def wheres(links: Mapping[str, StaticLink]) -> dict[str, str]:
-    """Return file and line of each link."""
-    return {name: link.where for name, link in links.items()}

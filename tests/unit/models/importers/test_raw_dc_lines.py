@@ -104,7 +104,9 @@ def test_a_link_comes_back_from_a_written_file(tmp_path, order):
         case = case.model_copy(update={"hvdcs": (document,)})
     flow = solve_powerflow(case)
     written = raw_of(case, flow)
-    assert any("control, rating and inductance of dc links (hvdc1)" in line for line in written.losses)
+    assert any(
+        "control, rating, inductance and capacitance of dc links (hvdc1)" in line for line in written.losses
+    )
     path = tmp_path / "back.raw"
     path.write_text(written.text)
     back = import_psse(path).case
