@@ -11,7 +11,7 @@ import pytest
 from interarea.cosim.grid_study import faults, local_stabilizers
 from interarea.cosim.grid_study import study as grid_study
 from interarea.cosim.grid_study.choices import Choices
-from interarea.cosim.grid_study.page import damping_rows, headline
+from interarea.cosim.grid_study.page import damping_rows, headline, write_page
 from interarea.cosim.grid_study.study import STAGES, study_grid
 from interarea.design.errors import InfeasibleDesign
 from interarea.fmu_build.write.cache import default_cache
@@ -108,6 +108,10 @@ def test_loops_stand_on_the_page_before_the_first_design(
     assert "not computed yet" in seen[0] and "Not computed" not in seen[0]
     assert study["problem"] == "no controller"
     assert study["loops"][0]["actuators"] == ["G4_vs"]
+    ended = write_page(study | {"problem": None, "versions": {}}, (), (), tmp_path / "ended.html")
+    text = ended.read_text(encoding="utf-8")
+    assert "Latency: not computed within 10 minutes; run the command again with more --minutes" in text
+    assert "not computed yet; the command" not in text
 
 
 def test_dynamic_data_beside_a_case_is_a_mistake(interarea: Any, tmp_path: Path) -> None:
