@@ -71,7 +71,7 @@ def terminal_of(record: Record, case: Case, machine: str, rest_s: float) -> Term
     m = case.machines[names.index(machine)]
     if not record.length_s >= _LEAST_S + rest_s:
         raise RecordError(
-            f"{record.source}: {record.length_s:.3g} s with {rest_s:g} s at rest, wanted: "
+            f"{record.source}: {record.length_s:.3g} s with {rest_s:g} s of steady state, wanted: "
             f"{_LEAST_S + rest_s:g} s at least, with a disturbance in it"
         )
     bus = f"bus{m.bus}"
@@ -171,8 +171,8 @@ class Bench:
         self.angle0 = float(np.mean(terminal.angle[first]))
         if not float(np.max(terminal.V)) < _MOST_V * self.V0 or not float(np.min(terminal.V)) >= 0.0:
             raise RecordError(
-                f"voltage of {machine} from {np.min(terminal.V):.3g} to {np.max(terminal.V):.3g} pu, at rest "
-                f"{self.V0:.3g}, allowed: from 0 to {_MOST_V:g} times that at rest"
+                f"voltage of {machine} from {np.min(terminal.V):.3g} to {np.max(terminal.V):.3g} pu, "
+                f"initially {self.V0:.3g}, allowed: from 0 to {_MOST_V:g} times the initial value"
             )
         self.power0 = complex(np.mean(terminal.P[first]), np.mean(terminal.Q[first]))
 

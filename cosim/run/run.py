@@ -140,7 +140,7 @@ def _with_warnings(system: System) -> System:
         growth = growth_at_rest(system.case, system.fmus.cache)
         if growth is not None and not growth.stable:
             system.warnings.append(
-                f"case {system.case.name}, at rest and without a controller: {growth.text}"
+                f"case {system.case.name}, at the equilibrium and without a controller: {growth.text}"
             )
     return system.warned()
 

@@ -97,5 +97,5 @@ class DeviceSlopes:
         vdx, vi = np.empty(len(self.states)), np.empty(2 * self.sources)
         provided = (a.ctypes.data_as(_REAL) for a in (vx, vu, volts, vdx, vi))
         if self._c.interarea_devices_slopes(self._at, *provided):
-            raise BuildError("the network of the plant has no solution at rest")
+            raise BuildError("the network of the plant has no solution at the equilibrium")
         return vdx, vi[: self.sources] + 1j * vi[self.sources :]

@@ -106,7 +106,7 @@ def import_grid(
     )
     out.parent.mkdir(parents=True, exist_ok=True)
     export_toml(imported.case, out)
-    with busy(f"whether {imported.case.name} is stable at rest"):
+    with busy(f"whether {imported.case.name} is stable at the equilibrium"):
         growth = growth_at_rest(imported.case, default_cache())
     if json_:
         verdict = {"growth": None if growth is None else growth.as_dict()}
@@ -115,7 +115,7 @@ def import_grid(
     typer.echo(out)
     typer.echo(imported.report.text(), err=True)
     if growth is not None:
-        typer.echo(f"at rest {growth.text}", err=True)
+        typer.echo(f"at the equilibrium {growth.text}", err=True)
 
 
 def _pairs(given: list[str]) -> dict[str, str]:

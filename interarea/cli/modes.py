@@ -424,8 +424,8 @@ def _print_margins(rows: list[dict[str, Any]]) -> None:
         return "-" if value is None else f"{value:.4g}"
 
     print_table(
-        "limits of the controls at rest, nearest first",
-        ("control", "kind", "signal", "at rest", "least", "largest", "nearest", "margin"),
+        "limits of the controls at the equilibrium, nearest first",
+        ("control", "kind", "signal", "equilibrium", "least", "largest", "nearest", "margin"),
         [
             (
                 row["control"],

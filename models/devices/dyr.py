@@ -14,7 +14,7 @@ from .language.structure import Model
 from .library import library
 
 WHOLE = "DERA1"  #: a record that is a converter by itself
-CURRENTS = "; --converters current takes converters as constant currents"
+CURRENTS = "; --converters current models converters as constant currents"
 #: of another converter: one record of each
 _ORDERS = ("REECB1", "REECA1", "REECC1")
 _PARTS = ((("REGCA1", "REGCB1", "REGCC1"), "is the converter itself"), (_ORDERS, "sets its currents"))
@@ -79,7 +79,7 @@ def fault_of_converter(records: Collection[str]) -> str:
     missing = [model for model in _TURBINE if model not in records]
     if some and missing:
         has = f"{' and '.join(some)} without {' and '.join(missing)}"
-        goes_on = f"--leave-out {','.join(some)} goes on with a turbine of constant power"
+        goes_on = f"--leave-out {','.join(some)} uses a turbine of constant power"
         return f"has {has}, allowed: all of {', '.join(_TURBINE)}; {goes_on}"
     return ""
 
@@ -112,7 +112,7 @@ def device_for_dyr(record: DyrRecord, own: Iterable[Model] = ()) -> DyrDevice:
     for p in model.device.parameters:
         value = parameters.get(p.name, p.default)
         if value is None:
-            raise DeviceError(f"{what} gives no {p.name}, which {model.device.name} needs")
+            raise DeviceError(f"{what} has no {p.name}, which {model.device.name} needs")
         rule = model.device.computed.get(p.name)
         if not (rule is not None and value == rule.when) and not p.holds(value):
             allowed = f"above {p.low:g}" if p.open else f"{p.low:g} to {p.high:g}"
@@ -140,8 +140,8 @@ def _values(record: DyrRecord, row: DyrModel) -> dict[str, float]:
         elif value != 0.0 and not (name.startswith("0:BUS") and value == record.bus):
             named = f" ({name[2:]})" if name[1:] else ""
             raise DeviceError(
-                f"{what}{named} = {value:g}, allowed: 0 (what it asks for is not modelled; "
-                f"--leave-out {record.model} goes on without it, --replace {record.model}=MODEL reads it as "
+                f"{what}{named} = {value:g}, allowed: 0 (its function is not modelled; "
+                f"--leave-out {record.model} omits it, --replace {record.model}=MODEL reads it as "
                 "another)"
             )
     return values

@@ -43,7 +43,9 @@ def released(
             values[name] = changed[name] = value
         else:
             return changed
-    raise DeviceError(f"{who}: {_MOST} limits widened and still beyond one; look at its parameters")
+    raise DeviceError(
+        f"{who}: {_MOST} limits widened, and a signal is still beyond a limit; check its parameters"
+    )
 
 
 def _moved(

@@ -126,7 +126,7 @@ def response_of(
 def _check_signal(who: str, name: str, value: float, seen: Mapping[str, float]) -> None:
     """Require that a device sees a signal, and that it can rest at such a value."""
     if name not in seen:
-        raise DeviceError(f"{who}: {name} = {value:g} is no signal of it; known: {', '.join(seen)}")
+        raise DeviceError(f"{who}: {name} = {value:g} is not one of its signals; known: {', '.join(seen)}")
     voltage = name in _VOLTAGES
     if not (value > 0.0 if voltage else value >= -_LARGEST) or not value <= _LARGEST:
         allowed = f"above 0, at most {_LARGEST:g}" if voltage else f"{-_LARGEST:g} to {_LARGEST:g}"
@@ -159,8 +159,8 @@ def _step_response(rest: RestPoint, inputs: Mapping[str, float], stop_s: float) 
     def rates(time: float, x: Array) -> list[float]:
         if next(calls) > _MOST_CALLS:
             raise DeviceError(
-                f"{device.name}: the step response has got to {time:.3g} s after {_MOST_CALLS} evaluations: "
-                "a gate switches to and fro; change the parameters, or where it rests"
+                f"{device.name}: the step response reached {time:.3g} s after {_MOST_CALLS} evaluations: "
+                "a gate switches repeatedly; change the parameters or the equilibrium"
             )
         for power, volt, current in _POWERS.get(device.kind, ()):
             changed[power] = changed[volt] * x[rest.instance.state_names.index(current)]
@@ -190,5 +190,7 @@ def missing(model: Model, provided: Mapping[str, object]) -> list[str]:
     names = [p.name for p in model.device.parameters]
     for name in provided:
         if name not in names:
-            raise DeviceError(f"{model.device.name}: {name} is no parameter of it; {nearest(name, names)}")
+            raise DeviceError(
+                f"{model.device.name}: {name} is not one of its parameters; {nearest(name, names)}"
+            )
     return [p.name for p in model.device.parameters if p.default is None and p.name not in provided]

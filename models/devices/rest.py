@@ -170,7 +170,9 @@ class _Walk:
             free = replace(e, left=led_on(e.left, name), right=led_on(e.right, name))
             root = None if free == e else _root_of(free, name, known)
         if root is None:
-            raise DeviceError(f"{self.who}: no {name} found at rest from {e.left} = {e.right}; {_CURE}")
+            raise DeviceError(
+                f"{self.who}: no equilibrium value of {name} satisfies {e.left} = {e.right}; {_CURE}"
+            )
         return root
 
     def tear(self) -> None:
@@ -201,7 +203,7 @@ class _Walk:
                 self.steps.append(f"{name} so that {self.story(closing[0], '')[6:]}")
                 del self.equations[closing[0]]
                 return
-        raise DeviceError(f"{self.who}: no rest found for {', '.join(sorted(self.unknown))}; {_CURE}")
+        raise DeviceError(f"{self.who}: no equilibrium value for {', '.join(sorted(self.unknown))}; {_CURE}")
 
 
 def _root_of(e: Equation, name: str, known: Mapping[str, float]) -> float | None:
@@ -327,7 +329,8 @@ def _checked(
     bad = [name for name, value in (starts | known).items() if not math.isfinite(value)]
     if bad:
         raise DeviceError(
-            f"{who}: {bad[0]} is {(starts | known)[bad[0]]} at rest; set gains and limits in it to other "
+            f"{who}: {bad[0]} is {(starts | known)[bad[0]]} at the equilibrium; set gains and limits in "
+            "it to other "
             "than 0, or change the dispatch"
         )
     margins = tuple(instance.margins(known))
@@ -361,7 +364,7 @@ def _check_margin(margin: Margin, model: Model, who: str, room: float) -> None:
             else:
                 cure = _CURE if not _is_number(text) else "change the dispatch"
             raise BeyondLimit(
-                f"{who}: {name} is {margin.value:.6g} at rest, {word} {what}; {cure}",
+                f"{who}: {name} is {margin.value:.6g} at the equilibrium, {word} {what}; {cure}",
                 signal=margin.signal, value=margin.value, limit=text, above=sign > 0.0,
             )  # fmt: skip
 
@@ -385,13 +388,13 @@ def _check_still(
             word = "above" if expected > got else "below"
             _check_gates(walk, name, who)
             raise DeviceError(
-                f"{who}: {name} is {expected:.6g} at rest, {word} what {limits} = {got:.6g} leaves; change "
+                f"{who}: {name} is {expected:.6g} at the equilibrium, {word} {limits} = {got:.6g}; change "
                 "the parameters in it or the dispatch"
             )
     for name, value, rate in zip(instance.state_names, states, rates, strict=True):
         if not abs(rate) <= STILL * max(1.0, abs(value)) * _stiffness(instance, name):
-            moves = f"it is {value:.6g} and moves by {float(rate):.3g} a second"
-            what = f"{who}: {name} does not stand still at rest: {moves}"
+            moves = f"its value is {value:.6g}, its rate {float(rate):.3g} 1/s"
+            what = f"{who}: {name} is not constant at the equilibrium: {moves}"
             if name not in walk.model.elements:
                 raise DeviceError(what)
             _check_gates(walk, name, who)
@@ -428,7 +431,7 @@ def _check_gates(walk: _Walk, name: str, who: str) -> None:
         spelled = spelled_out(hold.limit, walk.model)
         what = f"{hold.limit} = {spelled}" if spelled != hold.limit else str(spelled)
         raise BeyondLimit(
-            f"{who}: {name} is {walk.known[name]:.6g} at rest, but {what} = {passed:.6g} holds it "
+            f"{who}: {name} is {walk.known[name]:.6g} at the equilibrium, but {what} = {passed:.6g} keeps it "
             f"{'below' if hold.above else 'above'}; change the parameters in it or the dispatch",
             signal=name, value=hold.value, limit=str(hold.limit), above=hold.above,
         )  # fmt: skip

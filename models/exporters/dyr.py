@@ -126,7 +126,7 @@ def _control(
     values: dict[str, float] = {}
     for name, value in control_numbers(model, control, base_mva, frequency_hz).items():
         if isinstance(value, str):
-            raise DeviceError(f"{name} = {value!r} is computed at rest")
+            raise DeviceError(f"{name} = {value!r} is computed at the equilibrium")
         values[name] = math.copysign(_WIDE, value) if abs(value) >= NO_LIMIT else float(value)
     try:
         return dyr_fields(model, values)

@@ -161,8 +161,8 @@ def coupled_states(device: Device, numbers: Mapping[str, float | str]) -> tuple[
     for name in device.outputs:
         if lines[name].element not in _STATES:
             raise DeviceError(
-                f"{device.file}: {name} = {lines[name].node} sets a current into the network, allowed: a lag "
-                "or an integrator; put a lag behind it"
+                f"{device.file}: {name} = {lines[name].node} sets a current into the network, allowed: a "
+                "lag or an integrator; add a lag after it"
             )
     return device.outputs
 
@@ -187,7 +187,7 @@ def coupled_state(device: Device) -> str:
             return used[0]
     raise DeviceError(
         f"{device.file}: {device.output} = {line.node} sets a current into the network, allowed: a lag or an "
-        "integrator, or a number times one plus a number; put a lag behind it"
+        "integrator, or a number times one plus a number; add a lag after it"
     )
 
 

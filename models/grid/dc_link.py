@@ -107,18 +107,19 @@ def require_link(case: Case, row: Hvdc, point: LinkPoint, u_rectifier: float) ->
     if not row.i_min_pu <= point.idc <= row.i_max_pu:
         key = "i_min_pu" if point.idc < row.i_min_pu else "i_max_pu"
         raise CaseError(
-            f"{where}: its current at rest is {point.idc:.6g} pu, {key} = {getattr(row, key):g}, allowed: "
-            f"within its limits; set {key}, or idc_ka or P_mw"
+            f"{where}: its current at the equilibrium is {point.idc:.6g} pu, {key} = "
+            f"{getattr(row, key):g}, allowed: within its limits; set {key}, or idc_ka or P_mw"
         )
     if row.vdcol_i_pu is not None and not point.vdr > row.vdcol_high_pu:
         raise CaseError(
-            f"{where}: its dc voltage at rest is {point.vdr:.6g} pu, vdcol_high_pu = {row.vdcol_high_pu:g}, "
-            "allowed: above it, or the order would rest on its limit; set a lower vdcol_high_pu"
+            f"{where}: its dc voltage at the equilibrium is {point.vdr:.6g} pu, vdcol_high_pu = "
+            f"{row.vdcol_high_pu:g}, "
+            "allowed: above it, because the order would be at its limit; set a lower vdcol_high_pu"
         )
     if not point.vdi > 0.0:
         raise CaseError(
-            f"{where}: the inverter's dc voltage is {point.vdi:.3g} pu at rest, allowed: above 0; set "
-            "inverter_kv, or a lower idc_ka or P_mw"
+            f"{where}: the inverter's dc voltage is {point.vdi:.3g} pu at the equilibrium, allowed: above 0; "
+            "set inverter_kv, or a lower idc_ka or P_mw"
         )
     if math.isnan(point.alpha):
         raise CaseError(
@@ -130,7 +131,7 @@ def require_link(case: Case, row: Hvdc, point: LinkPoint, u_rectifier: float) ->
         low = alpha < row.alpha_min_deg
         key, change = ("alpha_min_deg", "higher") if low else ("alpha_max_deg", "lower")
         raise CaseError(
-            f"{where}: the rectifier rests at {alpha:.6g} deg, beyond {key} = {getattr(row, key):g}, "
+            f"{where}: the rectifier angle is {alpha:.6g} deg, beyond {key} = {getattr(row, key):g}, "
             f"allowed: within its limits; set a {change} rectifier_kv, or {key}"
         )
 

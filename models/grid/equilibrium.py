@@ -117,8 +117,9 @@ def machine_points(
     error = abs(solved[worst] - power_flow.voltages[worst])
     if not error <= VOLTAGE_TOLERANCE_PU:
         raise CaseError(
-            f"{case.name}: the network at rest differs from the power flow by {error:.3g} pu at bus "
-            f"{case.buses[worst].number}, allowed: {VOLTAGE_TOLERANCE_PU:g}; give it its own power flow"
+            f"{case.name}: the equilibrium of the network differs from the power flow by {error:.3g} pu "
+            "at bus "
+            f"{case.buses[worst].number}, allowed: {VOLTAGE_TOLERANCE_PU:g}; use the power flow of this case"
         )
     points, gaps = [], []
     for k, m in enumerate(case.machines):

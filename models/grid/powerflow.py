@@ -170,8 +170,8 @@ def _repeated(
             break
     if best is not None and best.converged and not moved <= TOLERANCE_PU:
         raise PowerFlowError(
-            f"{case.name}: the power flow does not settle with its dc links: voltages at their buses still "
-            f"move by {moved:.3g} pu, allowed: {TOLERANCE_PU:g}; support these by "
+            f"{case.name}: the power flow does not converge with its dc links: voltages at their buses "
+            f"change by {moved:.3g} pu, allowed: {TOLERANCE_PU:g}; support these by "
             "shunts, or lower idc_ka or P_mw",
             voltages={b.number: complex(v) for b, v in zip(case.buses, best.voltages, strict=True)},
         )
@@ -243,7 +243,7 @@ def _no_convergence(
     profile = ", ".join(f"{abs(best.voltages[j]):.3g} at bus {case.buses[j].number}" for j in (low, high))
     return (
         f"{start}: worst mismatch {size[k]:.3g} pu at bus {case.buses[k].number} "
-        f"(best iterate: number {best.iteration}), allowed: {TOLERANCE_PU:g} pu; its voltages reach from "
+        f"(best iterate: number {best.iteration}), allowed: {TOLERANCE_PU:g} pu; its voltages range from "
         f"{profile} pu; {advice}"
     )
 

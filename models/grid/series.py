@@ -133,7 +133,8 @@ def node_voltages(case: Case, voltages: ComplexArray) -> tuple[ComplexArray, Com
         if not abs(current) >= LEAST_CURRENT_PU:
             raise CaseError(
                 f"{case.name}: tcscs.{row.name}: its line {row.branch!r} carries {abs(current):.2g} pu at "
-                f"rest, allowed: at least {LEAST_CURRENT_PU:g}; change the dispatch, or take it out"
+                f"the equilibrium, allowed: at least {LEAST_CURRENT_PU:g}; change the dispatch, or "
+                "remove the device"
             )
         at.append(-1j * current)
         power.append(-1j * row.x0_pu * abs(current) ** 2)

@@ -68,20 +68,21 @@ class Start:
     margins: tuple[ControlMargin, ...]  #: nearest first
 
     def text(self) -> str:
-        """Return one line, and one for each control that cannot rest."""
+        """Return one line, and one for each control without an equilibrium."""
         if not self.unrest:
-            at = self._at_limits() or ["start: every control rests within its limits"]
+            at = self._at_limits() or ["start: every control is within its limits"]
             return "\n".join([*at, *self._waiting(), *self._held()])
-        head = f"start: {len(self.unrest)} controls cannot rest (--release-limits widens limits)"
+        head = f"start: {len(self.unrest)} controls have no equilibrium (--release-limits widens limits)"
         return "\n".join([head, *(f"  {item.error}" for item in self.unrest)])
 
     def _at_limits(self) -> list[str]:
         at = [item for item in self.margins if item.at_limit and not item.fixed and not item.held]
         if not at:
             return []
-        head = f"start: {len(at)} limits at which a control rests (--release-limits widens them)"
+        head = f"start: {len(at)} controls are at a limit (--release-limits widens it)"
         listed = (
-            f"  {one.control}: {one.margin.signal} is {one.margin.value:.6g} at rest, at {one.limit} "
+            f"  {one.control}: {one.margin.signal} is {one.margin.value:.6g} at the equilibrium, at "
+            f"{one.limit} "
             f"({one.margin.least:.1g} from it); {self._linear(one)}"
             for one in at
         )
@@ -89,20 +90,20 @@ class Start:
 
     @staticmethod
     def _linear(one: ControlMargin) -> str:
-        """What a linear study makes of a control at its limit, as `require_off_limits` has it."""
+        """Treatment of a control at its limit in a linear study, as in `require_off_limits`."""
         if one.at_bus:
-            return "a linear study is refused, as it acts to one side only"
-        return f"linear models take the limit as {'active' if one.margin.least < 0.0 else 'inactive'}"
+            return "a linear study is rejected, because the limit acts in one direction"
+        return f"linear models treat the limit as {'active' if one.margin.least < 0.0 else 'inactive'}"
 
     def _waiting(self) -> list[str]:
-        """What waits at a limit by its design, as the integrator of a limiter does at 0: one line."""
+        """Signals that are at a limit by design, such as the integrator of a limiter at 0: one line."""
         at = [item for item in self.margins if item.at_limit and item.fixed and not item.held]
         signals = ", ".join(dict.fromkeys(f"{one.kind} {one.margin.signal}" for one in at))
-        return [f"start: {len(at)} signals wait at a limit of their design ({signals})"] if at else []
+        return [f"start: {len(at)} signals are at a limit by design ({signals})"] if at else []
 
     def _held(self) -> list[str]:
         held = ", ".join(f"{item.control} {item.margin.signal}" for item in self.margins if item.held)
-        return [f"start: limits that coincide, so that nothing moves there: {held}"] if held else []
+        return [f"start: limits that coincide, so the signal is constant: {held}"] if held else []
 
 
 def start_of(case: Case, power_flow: PowerFlow | None = None) -> Start:
@@ -147,9 +148,9 @@ def require_off_limits(case: Case) -> None:
             elif item.control in vscs:
                 table, elsewhere = "vscs", "P_mw, from_q_mvar, to_q_mvar"
             raise CaseError(
-                f"{case.name}: {table}.{item.control}: {m.signal} ({m.text}) rests at {m.value:.6g}, "
-                f"{max(m.least, 0.0):.1g} from its limit {limit}; there it acts to one side only, so a "
-                f"linear study has two answers; widen {limit}, or start elsewhere ({elsewhere})"
+                f"{case.name}: {table}.{item.control}: {m.signal} ({m.text}) is at {m.value:.6g}, "
+                f"{max(m.least, 0.0):.1g} from its limit {limit}; the limit acts in one direction, so a "
+                f"linear study has two answers; widen {limit}, or change the start ({elsewhere})"
             )
 
 

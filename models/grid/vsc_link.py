@@ -78,7 +78,8 @@ def require_vsc(case: Case, row: Vsc, point: VscPoint) -> None:
         current = abs(s) / u
         if not current < most:
             raise CaseError(
-                f"{where}: its current at {end}_bus is {current:.6g} pu at rest, {end}_i_max_pu = {most:g}, "
+                f"{where}: its current at {end}_bus is {current:.6g} pu at the equilibrium, "
+                f"{end}_i_max_pu = {most:g}, "
                 f"allowed: below it; set {end}_i_max_pu or base_mva, or less of P_mw or {end}_q_mvar"
             )
 

@@ -75,7 +75,7 @@ class Diagram:
         for line in lines:
             for name in line.node.names:
                 if name not in known:
-                    raise self.source.fail(f"{name} is not known here, {nearest(name, known)}", line.number)
+                    raise self.source.fail(f"{name} is not known, {nearest(name, known)}", line.number)
         for output in self.outputs:
             if output not in known:
                 raise self.source.fail(f"no line gives {output}, the output of a {self.kind_name}")
@@ -106,7 +106,7 @@ class Diagram:
         size = _size(node, sizes)
         if size > LARGEST_EXPRESSION:
             raise self.source.fail(
-                f"{name} has {size} parts with the lines of parameters put in, allowed: {LARGEST_EXPRESSION}",
+                f"{name} has {size} parts with parameter lines substituted, allowed: {LARGEST_EXPRESSION}",
                 line,
             )
         return size
@@ -134,11 +134,13 @@ class Diagram:
         elif node.options:
             raise self.source.fail(f"{node.op}() takes no options", k)
         elif node.op in COMPARISONS and not chooses:
-            raise self.source.fail(f"{node}: a comparison, allowed: as what pick() chooses by", k)
+            raise self.source.fail(f"{node}: a comparison, allowed: as the condition of pick()", k)
         for j, part in enumerate((*node.args, *(part for _, part in node.options))):
             choice = node.op == "pick" and j == 0
             if choice and part.op not in COMPARISONS:
-                raise self.source.fail(f"pick() chooses by a comparison such as A > 0, not by {part}", k)
+                raise self.source.fail(
+                    f"the condition of pick() is a comparison such as A > 0, not {part}", k
+                )
             self.check_element(part, k, top=False, chooses=choice)
 
     def check_options(self, node: Node, k: int) -> None:

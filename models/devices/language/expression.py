@@ -101,7 +101,7 @@ def parse(text: str, where: str, calls: Mapping[str, tuple[int, int]] = FUNCTION
     DeviceError : anything but numbers, names, operators and those calls.
     """
     if len(text) > LONGEST_LINE:
-        raise DeviceError(f"{where}: {len(text)} characters, allowed: {LONGEST_LINE}; break the line up")
+        raise DeviceError(f"{where}: {len(text)} characters, allowed: {LONGEST_LINE}; split the line")
     if not text.isascii():
         raise DeviceError(f"{where}: {text.strip()[:60]!r} has letters beyond ASCII, allowed: ASCII")
     try:
@@ -113,7 +113,7 @@ def parse(text: str, where: str, calls: Mapping[str, tuple[int, int]] = FUNCTION
 
 def _node(tree: ast.AST, where: str, calls: Mapping[str, tuple[int, int]], depth: int) -> Node:
     if depth > DEEPEST:
-        raise DeviceError(f"{where}: nested deeper than {DEEPEST}; break the line up")
+        raise DeviceError(f"{where}: nested deeper than {DEEPEST}; split the line")
 
     def inner(part: ast.AST) -> Node:
         return _node(part, where, calls, depth + 1)
@@ -160,7 +160,7 @@ def _call(
     inner: Callable[[ast.AST], Node],
 ) -> Node:
     if name not in calls:
-        raise DeviceError(f"{where}: {name[:24]}(): no such function here, {nearest(name[:40], calls)}")
+        raise DeviceError(f"{where}: {name[:24]}(): no such function, {nearest(name[:40], calls)}")
     low, high = calls[name]
     if not low <= len(tree.args) <= high:
         expected = f"{low}" if low == high else f"{low} to {high}"

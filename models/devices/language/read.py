@@ -39,7 +39,7 @@ def device_text(path: str | Path) -> str:
     except OSError as error:
         raise DeviceError(f"{path}: the device file cannot be read: {reason(error)}") from None
     if len(raw) > LARGEST_FILE:
-        raise DeviceError(f"{path}: longer than {LARGEST_FILE} bytes, which no device needs")
+        raise DeviceError(f"{path}: longer than {LARGEST_FILE} bytes, allowed: at most that")
     try:
         return raw.decode("utf-8").replace("\r\n", "\n")
     except UnicodeDecodeError:
@@ -54,7 +54,7 @@ def device_of(text: str, file: str) -> Device:
     DeviceError : anything wrong, with the line where one is to blame.
     """
     if len(text.encode("utf-8", "replace")) > LARGEST_FILE:
-        raise DeviceError(f"{file}: longer than {LARGEST_FILE} bytes, which no device needs")
+        raise DeviceError(f"{file}: longer than {LARGEST_FILE} bytes, allowed: at most that")
     try:
         raw = parse_toml(text)
     except DocumentError as error:
@@ -174,14 +174,12 @@ class _Reader(Source):
         used = {name for line in lines for name in line.node.names} | {self.kind.output, *self.kind.also}
         for line in lines:
             if line.name not in used:
-                raise self.fail(
-                    f"the signal {line.name} leads nowhere; use it or take its line out", line.number
-                )
+                raise self.fail(f"the signal {line.name} is not used; use it or remove its line", line.number)
         used |= {name for node in others for name in node.names} | {*self.kind.of_port}
         for name in (*self.parameters, *self.references):
             if name not in used:
                 where = self.line_of(name, "parameters")
-                raise self.fail(f"{name} is used nowhere; use it or take it out", where)
+                raise self.fail(f"{name} is not used; use it or remove it", where)
         states = sum(bool(line.element) + (line.element == "filter2") for line in lines)
         if states > MOST_STATES:
             raise self.fail(f"{states} states, allowed: {MOST_STATES}")

@@ -96,7 +96,7 @@ class Model:
         if order.loop:
             raise DeviceError(
                 f"{self.device.name}: the signals {' <- '.join((*order.loop, order.loop[0]))} form a loop "
-                "without a state; give a lag in it a time above 0"
+                "without a state; give a lag in the loop a time above 0"
             )
         return order.lines
 
@@ -104,8 +104,8 @@ class Model:
         self._orders += 1
         if self._orders > MOST_ORDERS:  # they double with each loop
             raise DeviceError(
-                f"{self.device.file}: more than {MOST_ORDERS} orders of its lines, by which times are 0; let "
-                "fewer lags inside loops be 0 (above = 0 in place of min = 0)"
+                f"{self.device.file}: more than {MOST_ORDERS} evaluation orders, depending on which "
+                "times are 0; allow fewer lags in loops to be 0 (above = 0 in place of min = 0)"
             )
         on = self.on(decided)
         needs = {name: names_passed(e, on) & set(self.elements) for name, e in self.elements.items()}

@@ -104,7 +104,7 @@ def test_what_cannot_be_played_in_is_refused_in_one_line(
         (["--machine", "G1", "--parameters", "D"], "G1.D is 0 in two-area-thesis"),
         (["--machine", "G1", "--parameters", "P_mw"], "P_mw: not to be fitted"),
         (["--machine", "G2"], "no voltage angle or frequency at G2, bus2, branch[2-6]"),
-        (["--machine", "G1", "--window", "0:1"], "1 s with 0.5 s at rest, wanted: 2.5 s at least"),
+        (["--machine", "G1", "--window", "0:1"], "1 s with 0.5 s of steady state, wanted: 2.5 s at least"),
     ):
         code, out, err = invoke(["fit", str(path), "--case", CASE, *words], monkeypatch)
         assert (code, out) == (2, ""), err

@@ -55,7 +55,7 @@ def test_what_is_wrong_is_named():
     assert missing(model, {"K": 100.0}) == ["TA_TB", "TB", "TE", "EMIN", "EMAX"]
     with pytest.raises(DeviceError, match=r"SEXS\.KA = 1\.0: no such key"):
         response_of(model, SEXS | {"KA": 1.0})
-    with pytest.raises(DeviceError, match=r"pm = 1 is no signal of it; known: .*vt"):
+    with pytest.raises(DeviceError, match=r"pm = 1 is not one of its signals; known: .*vt"):
         response_of(model, SEXS, {"pm": 1.0})
     for wrong in ({"vt": 0.0}, {"vt": -1.0}, {"vt": 2e3}, {"slip": 2e3}, {"efd": np.nan}):
         with pytest.raises(DeviceError, match=rf"{next(iter(wrong))} = .*, allowed: (above 0|-1000 to)"):

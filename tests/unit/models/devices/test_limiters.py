@@ -121,8 +121,8 @@ def test_at_rest_it_moves_no_mode_and_waits(tmp_path: Path) -> None:
     swings = plain[plain.imag > 1.0]
     assert len(swings) >= 3 and all(np.abs(with_it - mode).min() < 1e-8 for mode in swings)
     first, second = start_of(case).text().splitlines()
-    assert first == "start: every control rests within its limits"
-    assert second == "start: 2 signals wait at a limit of their design (maxex2 c, maxex2 vl)"
+    assert first == "start: every control is within its limits"
+    assert second == "start: 2 signals are at a limit by design (maxex2 c, maxex2 vl)"
 
 
 def test_its_record_goes_in_and_out(tmp_path: Path) -> None:
@@ -136,14 +136,14 @@ def test_a_field_above_its_first_point_at_rest_is_refused_or_its_rating_raised(t
     (rest,) = [c.rest for c in operating_point(bare).controls.of("exciter") if c.prefix == "G1.exciter"]
     field = rest.signals["efd"]
     with pytest.raises(
-        StartError, match=rf"limiter: c does not .* {field:.5g}\d* is above EFD1\*EFDRATED = 1\.03"
+        StartError, match=rf"limiter: c is not .* {field:.5g}\d* is above EFD1\*EFDRATED = 1\.03"
     ):
         operating_point(case)
     released, said = release_limits(case)
     rating = next(m for m in released.machines if m.name == "G1").limiter.EFDRATED
     assert rating == pytest.approx(1.1 * field / 1.03, rel=1e-9)
     assert said == (f"G1.limiter.EFDRATED: 1 -> {rating:.6g}",)
-    assert start_of(released).text().startswith("start: every control rests within its limits")
+    assert start_of(released).text().startswith("start: every control is within its limits")
 
 
 def test_points_out_of_order_are_refused(tmp_path: Path) -> None:
@@ -177,4 +177,4 @@ def test_a_control_whose_limits_coincide_moves_no_mode(kind: str, tmp_path: Path
     assert all(np.abs(with_it - mode).min() < 1e-8 * max(1.0, abs(mode)) for mode in plain if mode.imag > 1.0)
     assert release_limits(cases[1])[1] == ()
     text = start_of(cases[1]).text()
-    assert kind == "governor" or f"coincide, so that nothing moves there: G1.{kind} " in text
+    assert kind == "governor" or f"coincide, so the signal is constant: G1.{kind} " in text

@@ -184,7 +184,9 @@ def test_a_bus_field_may_name_the_own_bus_and_a_derivative_is_an_input(tmp_path:
 def test_a_limiter_that_acts_at_rest_is_named(tmp_path: Path) -> None:
     record = "102 'ST6B' 1 0 0.012 50 45 0 0 4.81 -3.85 1 1 1 17.3 {} 4.81 -3.85 1 0.02 /"
     case_with(record.format(4.0), tmp_path)
-    with pytest.raises(StartError, match=r"vr is 1\.\d+ at rest, but max\(vl, VRMIN\) = .* holds it below"):
+    with pytest.raises(
+        StartError, match=r"vr is 1\.\d+ at the equilibrium, but max\(vl, VRMIN\) = .* keeps it below"
+    ):
         operating_point(case_with(record.format(1.5), tmp_path))
 
 

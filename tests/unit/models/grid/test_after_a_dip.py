@@ -191,7 +191,7 @@ def test_the_sparse_blocks_have_its_state_matrix():
         ({"Thld2": 0.001}, "Thld2 = 0.001; give Thld2 at least 0.005 s, or 0: none"),
         ({"Thld2": -1.0}, "Thld2 = -1.0, allowed: at least 0"),
         ({"REECA": 0, "Thld": 0.1}, "only REEC_A holds after a dip: set REECA to 1"),
-        ({"Vdip": 1.1, "Thld": 0.1}, "moves by 800 a second, as 0.959127 is below Vdip = 1.1"),
+        ({"Vdip": 1.1, "Thld": 0.1}, "its rate 800 1/s, as 0.959127 is below Vdip = 1.1"),
     ],
 )
 def test_what_has_no_meaning_or_rest_is_named(more, says):

@@ -134,8 +134,8 @@ def test_the_sparse_blocks_have_its_state_matrix():
 @pytest.mark.parametrize(
     ("P_mw", "more", "says"),
     [
-        (100.0, {"SOCini": 0.2}, "at rest, above ipmax = 0"),
-        (-100.0, {"SOCini": 0.8}, "at rest, below ipmin = -0"),
+        (100.0, {"SOCini": 0.2}, "at the equilibrium, above ipmax = 0"),
+        (-100.0, {"SOCini": 0.8}, "at the equilibrium, below ipmin = -0"),
         (100.0, {"SOCini": 1.2}, "SOCini = 1.2, allowed: at least 0 and at most 1"),
         (100.0, {"SOCmax": 0.1}, "SOCmin = 0.2, SOCmax = 0.1, allowed: SOCmin <= SOCmax; swap them"),
     ],

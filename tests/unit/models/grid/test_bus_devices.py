@@ -120,7 +120,7 @@ def test_a_row_that_is_wrong_is_refused_with_the_remedy(row, says):
 
 def test_a_rest_beyond_its_limit_names_limit_and_remedy():
     with pytest.raises(
-        CaseError, match=r"svcs.svc1.control: b .* is 0.49709 at rest, above BMAX = 0.3; set BMAX"
+        CaseError, match=r"svcs.svc1.control: b .* is 0.49709 at the equilibrium, above BMAX = 0.3; set BMAX"
     ):
         operating_point(with_svc("svc", Q_mvar=100.0, control={"kind": "svc", "BMAX": 0.3}))
 
@@ -129,11 +129,11 @@ def test_a_linear_study_on_a_limit_is_refused_with_the_margin():
     q = float(operating_point(with_svc("svc", Q_mvar=60.0)).controls.at_buses[0].rest.output)
     at_limit = with_svc("svc", Q_mvar=60.0, control={"kind": "svc", "BMAX": q})
     with pytest.raises(
-        CaseError, match=r"svc1: b \(susceptance\) rests at 0.309\d*, 0 from its limit BMAX; .*widen"
+        CaseError, match=r"svc1: b \(susceptance\) is at 0.309\d*, 0 from its limit BMAX; .*widen"
     ):
         linear_matrices(at_limit, default_cache())
     assert (
-        "svc1: b is 0.309359 at rest, at BMAX (0 from it); a linear study is refused"
+        "svc1: b is 0.309359 at the equilibrium, at BMAX (0 from it); a linear study is rejected"
         in start_of(at_limit).text()
     )
     require_off_limits(release_limits(at_limit)[0])

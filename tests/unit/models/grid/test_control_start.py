@@ -28,7 +28,7 @@ TIGHT = GRID.with_changes(
 def test_margins_are_distances_to_the_limits():
     start = start_of(GRID)
     least = [m.margin.least for m in start.margins]
-    assert least == sorted(least) and start.text() == "start: every control rests within its limits"
+    assert least == sorted(least) and start.text() == "start: every control is within its limits"
     efd = {m.control: m.margin.least for m in start.margins if m.margin.signal == "efd"}
     for k, machine in enumerate(GRID.machines):
         assert efd[f"{machine.name}.exciter"] == pytest.approx(5.0 - FIELD[k], rel=1e-12)
@@ -74,7 +74,8 @@ def test_a_gate_that_holds_the_output_is_released():
     values |= {"Dturb": 0.0, "MBASE": 100.0, "FBASE": 60.0}
     seen = {"slip": 0.0, "pe": 0.8}
     with pytest.raises(
-        BeyondLimit, match=r"x1 is 0.8 at rest, but limit = AT \+ KT\*\(AT - x3\) = -0.1 holds it below"
+        BeyondLimit,
+        match=r"x1 is 0.8 at the equilibrium, but limit = AT \+ KT\*\(AT - x3\) = -0.1 keeps it below",
     ):
         rest_of(model, values, seen, 0.8, "G1.governor")
     changed = released(model, values, seen, 0.8, "G1.governor")
@@ -97,7 +98,9 @@ def test_a_gate_behind_a_loop_is_released():
         "FBASE": 60.0,
     }
     seen = dict.fromkeys(model.device.inputs, 0.0) | {"vt": 1.0, "vc": 1.0, "ifd": 2.0}
-    with pytest.raises(BeyondLimit, match=r"vr is 2 at rest, but max\(vl, VRMIN\) = .* holds it below"):
+    with pytest.raises(
+        BeyondLimit, match=r"vr is 2 at the equilibrium, but max\(vl, VRMIN\) = .* keeps it below"
+    ):
         rest_of(model, values, seen, 2.0, "G1.exciter")
     changed = released(model, values, seen, 2.0, "G1.exciter")
     assert changed == {"ILR": pytest.approx((1.1 * 2.0 / 17.0 + 2.0) / 1.06, rel=1e-9)}
@@ -111,7 +114,7 @@ def test_an_import_says_how_its_controls_start(tmp_path, interarea):
     dyr.write_text(re.sub(r"(SEXS.*\s)\S+(\s*/)", r"\g<1>1.2\g<2>", text))
     raw = records / "ThreeBusMulti.raw"
     said = import_grid(raw, dyr=dyr).report.text()
-    assert "start: 1 controls cannot rest" in said and "above EMAX = 1.2" in said
+    assert "start: 1 controls have no equilibrium" in said and "above EMAX = 1.2" in said
     for command in (
         ("study", raw, "--out", tmp_path / "o"),
         ("new", "study", raw, "--out", tmp_path / "n.toml"),
@@ -131,11 +134,11 @@ def test_a_control_that_rests_at_its_limit_is_told_and_released(beyond, taken):
     at = GRID.with_changes({"machines": {GRID.machines[0].name: {"exciter": {"Efd_max": limit}}}}, name="at")
     name = GRID.machines[0].name
     head, line = start_of(at).text().splitlines()
-    assert head == "start: 1 limits at which a control rests (--release-limits widens them)"
-    assert line.startswith(f"  {name}.exciter: efd is {FIELD[0]:.6g} at rest, at Efd_max (")
-    assert line.endswith(f"linear models take the limit as {taken}")
+    assert head == "start: 1 controls are at a limit (--release-limits widens it)"
+    assert line.startswith(f"  {name}.exciter: efd is {FIELD[0]:.6g} at the equilibrium, at Efd_max (")
+    assert line.endswith(f"linear models treat the limit as {taken}")
     operating_point(at)
     case, changed = release_limits(at)
     assert case.machines[0].exciter.parameters["Efd_max"] == pytest.approx(1.1 * FIELD[0], rel=1e-6)
     assert len(changed) == 1
-    assert start_of(case).text() == "start: every control rests within its limits"
+    assert start_of(case).text() == "start: every control is within its limits"

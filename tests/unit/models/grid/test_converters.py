@@ -137,8 +137,8 @@ def test_its_controls_hold_their_states_in_a_dip():
 @pytest.mark.parametrize(
     ("more", "says"),
     [
-        ({"Imax": 0.4}, "is 0.5213 at rest, above"),
-        ({"QMAX": 0.05}, "qlim is 0.1 at rest, above QMAX = 0.05"),
+        ({"Imax": 0.4}, "is 0.5213 at the equilibrium, above"),
+        ({"QMAX": 0.05}, "qlim is 0.1 at the equilibrium, above QMAX = 0.05"),
         ({"PFFLAG": 1, "QFLAG": 1}, "a power factor gives a reactive power, not a voltage"),
     ],
 )

@@ -258,11 +258,12 @@ def test_a_row_that_is_wrong_is_refused_with_the_remedy(row, says):
     [
         (
             {"idc_ka": 1.0},
-            "current at rest is 1.25 pu, i_max_pu = 1.2, allowed: within its limits; set i_max_pu",
+            "current at the equilibrium is 1.25 pu, i_max_pu = 1.2, allowed: within its limits; set i_max_pu",
         ),
         (
             {"vdcol_i_pu": 0.4, "vdcol_high_pu": 1.5},
-            "vdcol_high_pu = 1.5, allowed: above it, or the order would rest on its limit; set a lower vdcol",
+            "vdcol_high_pu = 1.5, allowed: above it, because the order would be at its limit; set a "
+            "lower vdcol",
         ),
         ({"rectifier_kv": 100.0}, "no delay angle gives the dc voltage"),
         ({"rectifier_kv": 104.0, "alpha_min_deg": 15.0}, "deg, beyond alpha_min_deg = 15, allowed"),
@@ -279,7 +280,7 @@ def test_a_link_that_cannot_rest_is_refused_with_the_remedy(row, says):
 def test_a_linear_study_on_a_limit_is_refused_with_the_margin():
     with pytest.raises(
         CaseError,
-        match=r"hvdcs.hvdc1: xi \(.*\) rests at 0.349066, \S+ from its limit gamma_min_deg; .*widen",
+        match=r"hvdcs.hvdc1: xi \(.*\) is at 0.349066, \S+ from its limit gamma_min_deg; .*widen",
     ):
         linear_matrices(with_link(gamma_min_deg=20.0), default_cache())
 

@@ -262,14 +262,14 @@ def test_it_follows_the_record_of_psse(tmp_path):
     [
         (
             {"vl1": 1.1, "vh1": 1.15},
-            "moves by 6.25 a second, as 0.959127 is below vl1 = 1.1",
+            "its rate 6.25 1/s, as 0.959127 is below vl1 = 1.1",
         ),
         (
             {"fh": 59.9},
-            "moves by 6.25 a second, as 0 is above fh/FBASE - 1",
+            "its rate 6.25 1/s, as 0 is above fh/FBASE - 1",
         ),
-        ({"Pmax": 0.4}, "pord (active power order) is 0.5 at rest, above Pmax = 0.4"),
-        ({"Imax": 0.4}, "at rest, above"),
+        ({"Pmax": 0.4}, "pord (active power order) is 0.5 at the equilibrium, above Pmax = 0.4"),
+        ({"Imax": 0.4}, "at the equilibrium, above"),
         ({"vl0": 0.5}, "give vl1 the larger one"),
         ({"vh1": 0.45}, "give vh1 the larger one"),
         ({"tvl0": 0.0}, "tvl0"),
@@ -289,7 +289,9 @@ def test_a_circle_of_the_current_that_cannot_be_released_is_named(kind, flag, pr
     numbers = numbers_of(model.device, row_of(model.device, {"Imax": 0.405, flag: priority}), 100.0, 60.0)
     seen = {"vt": 1.0, "p": 0.4, "q": 0.1, "p_mod": 0.0, "q_mod": 0.0, "vr": 0.8, "vi": 0.6, "iq": 0.1}
     seen |= {"vreg": 1.0, "vdrop": 1.0, "pbr": 0.4, "qbr": 0.1}
-    with pytest.raises(DeviceError, match=r"test: i[pq]cmd is 0\.[14] at rest, above i[pq]max = 0\."):
+    with pytest.raises(
+        DeviceError, match=r"test: i[pq]cmd is 0\.[14] at the equilibrium, above i[pq]max = 0\."
+    ):
         released(model, numbers, seen, 0.4, "test")
 
 

@@ -307,10 +307,11 @@ def test_the_sparse_blocks_have_its_state_matrix(control):
 @pytest.mark.parametrize(
     ("more", "says"),
     [
-        ({"Pmax": 0.4}, "xpmax does not stand still at rest: it is 0 and moves by -0.01 a second"),
+        ({"Pmax": 0.4}, "xpmax is not constant at the equilibrium: its value is 0, its rate -0.01 1/s"),
         (
             {"Emax": 0.9},
-            "e (voltage of the source) is 0.977897 at rest, above pick(Vflag == 1, Emax, 99) = 0.9",
+            "e (voltage of the source) is 0.977897 at the equilibrium, above pick(Vflag == 1, Emax, 99) "
+            "= 0.9",
         ),
         ({"Qmin": 0.5}, "Qmin = 0.5, Qmax = 0.44"),
     ],
@@ -361,7 +362,7 @@ def test_a_record_of_gridpack_is_the_same_converter(tmp_path):
     record = "4 'GDFORM' 1 0.05 0 5.86 0.02 0.01 0.1 1.0 0 1.15 0 0.01 1.5 0.5 -0.5 3 20 0.02 0.03 1 /\n"
     read = import_psse(*_pair(tmp_path, record))
     assert [row.control.parameters for row in read.case.converters] == [plain[0].control.parameters]
-    assert any("GDFORM taken as REGFMA1" in line for line in read.report.assumed)
+    assert any("GDFORM modelled as REGFMA1" in line for line in read.report.assumed)
     flat = import_psse(*_pair(tmp_path, record.replace("0.03 1 /", "0.03 0 /"))).case.converters[0]
     assert flat.control.parameters["Vflag"] == 0.0
 

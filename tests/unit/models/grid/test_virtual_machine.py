@@ -318,10 +318,11 @@ def test_after_a_trip_it_gives_nothing():
 @pytest.mark.parametrize(
     ("more", "says"),
     [
-        ({"Kf": 0.4}, "dimax does not stand still at rest: it is 0.150568 and moves by"),
+        ({"Kf": 0.4}, "dimax is not constant at the equilibrium: its value is 0.150568, its rate"),
         (
             {"ImaxSS": 0.4},
-            "delta (angle of the source) is -0.131941 at rest, above theta + dimax = -0.151954; change the",
+            "delta (angle of the source) is -0.131941 at the equilibrium, above theta + dimax = "
+            "-0.151954; change the",
         ),
         ({"Xe": 0.9, "ImaxSS": 1.0}, "Xe = 0.9, ImaxSS = 1; lower one of them until their product is 0.8"),
         ({"VPLLfrz": 0.2}, "VPLLfrz = 0.2"),

@@ -307,7 +307,7 @@ def test_a_name_is_given_to_one_device():
             {"base_mva": 80.0},
             "from_i_max_pu = 1.1, allowed: below it; set from_i_max_pu or base_mva, or less",
         ),
-        ({"to_i_max_pu": 0.4}, "its current at to_bus is 0.497947 pu at rest, to_i_max_pu = 0.4"),
+        ({"to_i_max_pu": 0.4}, "its current at to_bus is 0.497947 pu at the equilibrium, to_i_max_pu = 0.4"),
         (
             {"P_mw": -100.0, "r_ohm": 300.0},
             "P_mw = -100, allowed: above -74, the most that a line of 300 ohm",

@@ -233,8 +233,11 @@ def test_the_sparse_blocks_have_its_state_matrix():
         ({"theta0": -1.0}, "the pitch starts at theta0: give it pitch_min to pitch_max"),
         ({"p3": 0.3}, "the curve of the speed rises: give p1 < p2 < p3 < p4"),
         ({"spd3": 0.7}, "the curve of the speed rises: give spd1 <= spd2 <= spd3 <= spd4"),
-        ({"Temax": 0.6}, "(torque order, integral part) is 0.632911 at rest, above Temax = 0.6; set Temax"),
-        ({"pitch_min": -4.0, "pitch_max": -1.0, "theta0": -2.0}, "at rest, above pitch_max = -1"),
+        (
+            {"Temax": 0.6},
+            "(torque order, integral part) is 0.632911 at the equilibrium, above Temax = 0.6; set Temax",
+        ),
+        ({"pitch_min": -4.0, "pitch_max": -1.0, "theta0": -2.0}, "at the equilibrium, above pitch_max = -1"),
     ],
 )
 def test_what_cannot_start_is_named(more, says):
@@ -316,7 +319,7 @@ def test_a_part_of_a_turbine_is_refused_with_the_remedy(tmp_path, left):
     with pytest.raises(CaseError) as reported:
         import_psse(*files)
     assert "allowed: all of WTARA1, WTPTA1, WTTQA1, WTDTA1" in str(reported.value)
-    assert f"--leave-out {there} goes on" in str(reported.value) and ".dyr:" in str(reported.value)
+    assert f"--leave-out {there} uses a turbine" in str(reported.value) and ".dyr:" in str(reported.value)
     case = import_psse(*files, leave_out=there.split(",")).case
     assert case.converters[0].control.parameters.get("WT3", 0.0) == 0.0
 

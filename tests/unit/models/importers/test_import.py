@@ -300,7 +300,7 @@ DYR_REFUSED = [
     (
         "'IEEEST' 1 1 0",
         "'IEEEST' 1 1 7",
-        r"grid\.dyr:5: IEEEST field 2 \(BUS\) = 7, allowed: 0 \(what it asks for",
+        r"grid\.dyr:5: IEEEST field 2 \(BUS\) = 7, allowed: 0 \(its function",
     ),
     ("'IEEEST' 1 1 0", "'IEEEST' 1 1 x", r"grid\.dyr:5: IEEEST field 2 \(BUS\) = 'x', allowed: a number"),
     ("'IEEEST' 1 1 0", "'IEEEST' 1 1", r"grid\.dyr:5: IEEEST has 18 fields, allowed: 19, ICS 0:BUS A1"),
