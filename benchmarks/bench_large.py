@@ -49,6 +49,7 @@ from interarea.models.blocks.plant import event_parameters, plant_block
 from interarea.models.case.case import Case
 from interarea.models.case.events import events_of
 from interarea.models.importers.file import import_grid
+from interarea.models.importers.imported import ImportOptions
 
 #: RAW and DYR under FOLDER, the fault's bus, GridKit's CPU seconds
 GRIDS = {
@@ -121,7 +122,9 @@ def of_power(case: Case, share: float) -> Case:
 def power_price(name: str, folder: Path, share: float, step_s: float = 1.0 / 240.0) -> float:
     """Return the cost of a run with loads of constant power over that of one with impedances."""
     raw, dyr, bus, _ = GRIDS[name]
-    case = import_grid(folder / raw, dyr=folder / dyr, converters="current", release_limits=True).case
+    case = import_grid(
+        folder / raw, dyr=folder / dyr, options=ImportOptions(converters="current", release_limits=True)
+    ).case
     case = as_impedances(case)
     events = fault_at(bus)
     speeds = [f"{m.name}_dw" for m in case.machines]
@@ -150,7 +153,9 @@ def measured(name: str, folder: Path) -> dict[str, Any]:
     """Everything about one grid."""
     raw, dyr, bus, published = GRIDS[name]
     begin = time.process_time()
-    case = import_grid(folder / raw, dyr=folder / dyr, converters="current", release_limits=True).case
+    case = import_grid(
+        folder / raw, dyr=folder / dyr, options=ImportOptions(converters="current", release_limits=True)
+    ).case
     case = as_impedances(case)
     row: dict[str, Any] = {"grid": name, "buses": len(case.buses), "machines": len(case.machines)}
     row["import_s"] = time.process_time() - begin

@@ -38,6 +38,7 @@ from interarea.design.reduction.low_rank import input_columns, low_rank_reductio
 from interarea.fmu_build.write.cache import default_cache
 from interarea.models.case.case import Case, case_names, load_case
 from interarea.models.importers.file import import_grid
+from interarea.models.importers.imported import ImportOptions
 
 BAND_HZ = (0.1, 2.0)
 _NODES = 28  # of each line that stands for a delay
@@ -67,7 +68,9 @@ def imported(folder: Path, name: str) -> Case:
     raw, *dyr = GRIDS[name]
     if not dyr:
         return ruled_grid(folder / raw)
-    case = import_grid(folder / raw, dyr=folder / dyr[0], converters="current", release_limits=True).case
+    case = import_grid(
+        folder / raw, dyr=folder / dyr[0], options=ImportOptions(converters="current", release_limits=True)
+    ).case
     change = {"P_zip": None, "Q_zip": None, "P_exponent": 2.0, "Q_exponent": 2.0}
     return case.model_copy(update={"loads": tuple(q.model_copy(update=change) for q in case.loads)})
 

@@ -91,10 +91,9 @@ def import_case(
     ['G1', 'G2', 'G3', 'G4']
     """
     from interarea.models.importers.file import import_grid
+    from interarea.models.importers.imported import ImportOptions
 
-    imported = import_grid(
-        grid,
-        dyr=dyr,
+    options = ImportOptions(
         frequency_hz=frequency_hz,
         P_exponent=P_exponent,
         Q_exponent=Q_exponent,
@@ -106,8 +105,9 @@ def import_case(
         release_limits=release_limits,
         devices=devices,
         leave_out=leave_out,
-        replace_models=replace or {},
+        replace=replace or {},
     )
+    imported = import_grid(grid, dyr, options)
     if report is not None:
         growth = growth_at_rest(imported.case, default_cache())
         report(imported.report.text() + ("" if growth is None else f"\nat rest {growth.text}"))

@@ -48,7 +48,7 @@ from interarea.models.grid.powerflow import solve_powerflow
 from interarea.models.grid.start import release_limits
 from interarea.models.importers.dynamics import MACHINES
 from interarea.models.importers.dyr import KNOWN, read_dyr
-from interarea.models.importers.imported import Imported
+from interarea.models.importers.imported import Imported, ImportOptions
 from interarea.models.importers.matpower import import_matpower
 from interarea.models.importers.psse import import_psse
 from interarea.models.importers.raw.text import read_lines
@@ -107,7 +107,11 @@ def pair(raw: Path, dyr: Path, options: argparse.Namespace) -> dict[str, Any]:
     start = time.perf_counter()
     row: dict[str, Any] = {"folder": raw.parent.name, "raw": str(raw), "dyr": str(dyr)}
     try:
-        imported = import_psse(raw, dyr, converters_as_current=options.converters == "current")
+        imported = import_psse(
+            raw,
+            dyr,
+            options=ImportOptions(converters=options.converters),
+        )
         row |= {"s": time.perf_counter() - start, "machines": len(imported.case.machines)}
         if options.release_limits:
             case, changed = release_limits(imported.case)

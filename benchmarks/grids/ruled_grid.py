@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from interarea.models.case.case import Case
+from interarea.models.importers.imported import ImportOptions
 from interarea.models.importers.matpower import import_matpower
 
 STABILIZER_FROM_MVA = 75.0
@@ -81,4 +82,4 @@ def ruled_grid(path: str | Path) -> Case:
     ------
     CaseError, PowerFlowError : as `import_matpower`.
     """
-    return ruled(import_matpower(path, island="all").case)
+    return ruled(import_matpower(path, options=ImportOptions(island="all")).case)

@@ -37,6 +37,7 @@ from interarea.models.case.case import Case
 from interarea.models.case.events import events_of
 from interarea.models.errors import CaseError
 from interarea.models.grid.equilibrium import operating_point
+from interarea.models.importers.imported import ImportOptions
 from interarea.models.importers.psse import import_psse
 from interarea.models.importers.raw.text import read_lines
 
@@ -69,7 +70,7 @@ def case_of_trace(
 ) -> Case:
     """Return the grid of a record; a control of which only the constants are given takes its place."""
     raw, dyr = folder / trace["raw"], folder / trace["dyr"]
-    case = import_psse(raw, dyr, P_exponent=exponents[0], Q_exponent=exponents[1]).case
+    case = import_psse(raw, dyr, options=ImportOptions(P_exponent=exponents[0], Q_exponent=exponents[1])).case
     if trace.get("tool") == "PSS/E" and not as_given:
         case = case.with_changes(MADE_WITH.get(trace["id"], {}))
     change: dict[str, Any] = {}

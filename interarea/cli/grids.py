@@ -87,10 +87,9 @@ def import_grid(
     from interarea.fmu_build.write.cache import default_cache
     from interarea.models.case.write_toml import export_toml
     from interarea.models.importers.file import import_grid as read_grid
+    from interarea.models.importers.imported import ImportOptions
 
-    imported = read_grid(
-        grid,
-        dyr=dyr,
+    options = ImportOptions(
         frequency_hz=frequency,
         P_exponent=P_exponent,
         Q_exponent=Q_exponent,
@@ -102,8 +101,9 @@ def import_grid(
         release_limits=release_limits,
         devices=device or (),
         leave_out=[name for name in leave_out.split(",") if name.strip()],
-        replace_models=_pairs(replace or []),
+        replace=_pairs(replace or []),
     )
+    imported = read_grid(grid, dyr, options)
     out.parent.mkdir(parents=True, exist_ok=True)
     export_toml(imported.case, out)
     with busy(f"whether {imported.case.name} is stable at the equilibrium"):

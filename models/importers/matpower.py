@@ -9,7 +9,7 @@ from pathlib import Path
 from ..case.case import case_of
 from ..errors import CaseError
 from .document import case_name, document_of, load_exponents
-from .imported import Imported
+from .imported import AS_FILED, Imported, ImportOptions
 from .m_file import MFile, read_m_file
 from .places import read_places
 from .raw.text import read_lines
@@ -48,21 +48,12 @@ class _Row:
 
 
 def import_matpower(
-    path: str | Path,
-    *,
-    name: str | None = None,
-    frequency_hz: float | None = None,
-    P_exponent: float | None = None,
-    Q_exponent: float | None = None,
-    strict: bool = False,
-    island: int | str | None = None,
-    coordinates: str | Path | None = None,
+    path: str | Path, options: ImportOptions = AS_FILED, *, name: str | None = None
 ) -> Imported:
     """Return the grid of a MATPOWER `.m` file; its machines have no dynamic data (model power_flow).
 
     Reactive limits, costs and ratings play no part. MATPOWER says neither the frequency nor how loads follow
-    the voltage: 60 Hz and constant impedance when not given. `strict`, `island` and `coordinates` are those
-    of `import_psse`.
+    the voltage: 60 Hz and constant impedance when not given. Options of DYR files have no effect.
 
     Raises
     ------
@@ -71,13 +62,13 @@ def import_matpower(
     PowerFlowError : no solution beside the stored voltages, nor from a flat start.
     """
     path = Path(path)
-    report = Report(strict)
+    report = Report(options.strict)
     file = read_m_file(path, read_lines(path))
     base_mva = _base_mva(file)
     tables = {table: _table(file, table) for table in _COLUMNS}
-    if frequency_hz is None:
+    if options.frequency_hz is None:
         report.assume(f"no frequency in the file: {USUAL_HZ:g} Hz", str(path))
-    grid = StaticGrid(base_mva, frequency_hz or USUAL_HZ, f"{path.name} (MATPOWER)")
+    grid = StaticGrid(base_mva, options.frequency_hz or USUAL_HZ, f"{path.name} (MATPOWER)")
     _buses(tables["bus"], grid)
     _units(tables["gen"], grid, report)
     _branches(tables["branch"], grid, report)
@@ -85,12 +76,12 @@ def import_matpower(
     for what, rows in (("buses", grid.buses), ("branches", grid.branches), ("units", grid.units)):
         report.read[what] = len(rows)
     _tell(file, report)
-    if coordinates is not None:
-        read_places(Path(coordinates), grid)
-    settle(grid, report, island)
+    if options.coordinates is not None:
+        read_places(Path(options.coordinates), grid)
+    settle(grid, report, options.island)
     decide_units_at_load_buses(grid, report)
     solution = solve_stored(grid, slacks_of(grid, report), report)
-    exponents = load_exponents(P_exponent, Q_exponent, grid, report, str(path))
+    exponents = load_exponents(options.P_exponent, options.Q_exponent, grid, report, str(path))
     document = document_of(grid, solution, name=name or case_name(path, report), exponents=exponents)
     return Imported(case_of(document, where=str(path)), report, solution)
 

@@ -6,7 +6,6 @@ import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 from ..case.case import Case, case_of, devices_of
@@ -19,7 +18,7 @@ from ..grid.powerflow import solve_powerflow
 from .document import case_name, document_of, load_exponents, unit_names
 from .dynamics import PLANT_CONTROL, SOURCE, Dynamics, machine_dynamics, read_dynamics, replaced
 from .dyr import DyrRecord
-from .imported import Imported
+from .imported import AS_FILED, Imported, ImportOptions
 from .load_records import take_load_records
 from .places import read_places
 from .raw.converters import read_converters
@@ -44,34 +43,14 @@ _ROUNDS, _STILL_DEG = 50, 1e-6  #: of the extinction angles of dc links
 def import_psse(
     raw: str | Path,
     dyr: str | Path | None = None,
+    options: ImportOptions = AS_FILED,
     *,
     name: str | None = None,
-    P_exponent: float | None = None,
-    Q_exponent: float | None = None,
-    strict: bool = False,
-    island: int | str | None = None,
-    converters_as_current: bool = False,
-    dc_lines_as_power: bool = False,
-    coordinates: str | Path | None = None,
-    frequency_hz: float | None = None,
-    devices: Sequence[str | Path] = (),
-    leave_out: Sequence[str] = (),
-    replace: Mapping[str, str] = MappingProxyType({}),
 ) -> Imported:
     """Return the grid of a PSS/E RAW (version 23 to 36) or RAWX and DYR file, each plain, gzip or xz.
 
     Without `dyr` the machines have no dynamic data (model power_flow). RAW and DYR do not tell how loads
     follow the voltage: the two exponents do, constant impedance (2) when not given.
-
-    strict : an assumption is an error. island : a bus of the island to keep, when there are several,
-        or "all" with a slack bus.
-    converters_as_current : converters become constant currents instead of what their records say.
-    dc_lines_as_power : two-terminal and VSC dc lines stay constant powers, even where a dc link could hold
-    them.
-    coordinates : CSV with bus, latitude, longitude. frequency_hz : for a file that has none; 60 Hz when not
-    given. devices : files of user-defined devices, which records of their names (USRMDL or not) become.
-    leave_out : models whose records are passed over. replace : model -> the one that its records are read
-    as, by the order of their fields.
 
     Raises
     ------
@@ -80,15 +59,15 @@ def import_psse(
     PowerFlowError : no solution beside the stored voltages, nor from a flat start.
     """
     path = Path(raw)
-    report = Report(strict)
-    provided = with_device_texts({"devices": tuple(devices)}, Path(), str(path))
+    report = Report(options.strict)
+    provided = with_device_texts({"devices": tuple(options.devices)}, Path(), str(path))
     own = devices_of(provided["devices"], str(path))
     file = read_rawx(path) if is_rawx(path) else read_raw(path)
-    grid = static_grid(file, report, frequency_hz)
-    if coordinates is not None:
-        read_places(Path(coordinates), grid)
+    grid = static_grid(file, report, options.frequency_hz)
+    if options.coordinates is not None:
+        read_places(Path(options.coordinates), grid)
     out = {(unit.home, unit.identity) for unit in grid.units if not unit.on}
-    settle(grid, report, island)
+    settle(grid, report, options.island)
     decide_units_at_load_buses(grid, report)
     solution = solve_stored(grid, slacks_of(grid, report), report)
     names = unit_names(grid)
@@ -98,19 +77,24 @@ def import_psse(
     if dyr is not None:
         machine_of = {(u.home, u.identity): n for u, n in zip(grid.units, names, strict=True)}
         out |= {key for key in _all_units(file) if key not in machine_of}
-        read = replaced(read_dynamics(Path(dyr), own), leave_out, replace, report)
+        read = replaced(read_dynamics(Path(dyr), own), options.leave_out, options.replace, report)
         records = read.records
         take_load_records(records, grid.loads, report)
         dynamics = machine_dynamics(
-            read, machine_of, out, report, converters_as_current=converters_as_current, own=own
+            read,
+            machine_of,
+            out,
+            report,
+            converters_as_current=options.converters == "current",
+            own=own,
         )
         if len(dynamics.no_machines) == len(names):
             raise CaseError(f"{dyr}: no machine model for any unit of {path.name}, allowed: at least one")
         _compare_reactances(grid, names, dynamics, report)
         _take_impedances(grid, names, dynamics)
         grid.source += f" and {Path(dyr).name}"
-    links, vscs, where = take_links(grid, solution.voltages, report, as_power=dc_lines_as_power)
-    exponents = load_exponents(P_exponent, Q_exponent, grid, report, str(path))
+    links, vscs, where = take_links(grid, solution.voltages, report, as_power=options.dc_lines == "power")
+    exponents = load_exponents(options.P_exponent, options.Q_exponent, grid, report, str(path))
     document = document_of(
         grid,
         solution,

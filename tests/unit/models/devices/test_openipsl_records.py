@@ -11,6 +11,7 @@ from plant_shim import BlockShim
 
 from interarea.models.blocks.plant import event_parameters, plant_block
 from interarea.models.case.events import events_of
+from interarea.models.importers.imported import ImportOptions
 from interarea.models.importers.psse import import_psse
 
 HERE = Path(__file__).parent / "openipsl_records"
@@ -30,7 +31,9 @@ def local_names(plant):
 def test_the_plant_follows_openipsl(name):
     """Within 1e-3 of each column's range."""
     record = RECORDS[name]
-    case = import_psse(HERE / "SMIB.raw", HERE / record["dyr"], P_exponent=1.0, Q_exponent=2.0).case
+    case = import_psse(
+        HERE / "SMIB.raw", HERE / record["dyr"], options=ImportOptions(P_exponent=1.0, Q_exponent=2.0)
+    ).case
     events = [
         {"kind": "bus_fault", "bus": 4, "x_pu": 1e-7, "start_s": 2.0, "end_s": 2.15},
         {"kind": "load_step", "load": case.loads[0].name, "p_pu": record["load_p_pu"], "q_pu": 0.0}

@@ -22,6 +22,7 @@ from interarea.models.case.write_toml import export_toml
 from interarea.models.devices.library import library, own_models
 from interarea.models.exporters.dyr import dyr_of
 from interarea.models.exporters.raw import raw_of
+from interarea.models.importers.imported import ImportOptions
 from interarea.models.importers.psse import import_psse
 
 AVR = (TEMPLATES / "device.toml").read_text(encoding="utf-8")
@@ -138,7 +139,7 @@ def test_a_record_of_its_name_is_the_device_and_goes_out_again(tmp_path: Path, r
     raw.write_text(raw_text(case))
     dyr.write_text(dyr_text(case) + record)
     file.write_text(AVR)
-    imported = import_psse(raw, dyr, devices=[file]).case
+    imported = import_psse(raw, dyr, options=ImportOptions(devices=[file])).case
     with_avr = next(m for m in imported.machines if m.bus == 1).exciter
     values = {"TR": 0.02, "TC": 1.0, "TB": 0.0, "KA": 150.0, "TA": 0.02, "EMIN": -5.0, "EMAX": 5.0}
     assert with_avr.kind == "my_avr" and with_avr.parameters == values
@@ -146,7 +147,7 @@ def test_a_record_of_its_name_is_the_device_and_goes_out_again(tmp_path: Path, r
     out = dyr_of(imported).text
     assert "'USRMDL' '1' 'MYAVR' 4 0 0 7 3 0 " in out
     dyr.write_text(out)
-    again = import_psse(raw, dyr, devices=[file]).case
+    again = import_psse(raw, dyr, options=ImportOptions(devices=[file])).case
     assert [m.exciter for m in again.machines] == [
         m.exciter.model_copy(update={"source": n.exciter.source})
         for m, n in zip(imported.machines, again.machines, strict=True)
@@ -159,7 +160,9 @@ def test_without_a_table_of_records_fields_are_the_parameters_in_order(tmp_path:
     raw.write_text(raw_text(case))
     dyr.write_text(dyr_text(case) + "1 'USRMDL' 1 'MY_PI' 4 0 0 4 3 0 0.02 20.0 5.0 0.05 /\n")
     file.write_text(PI)
-    imported = next(m for m in import_psse(raw, dyr, devices=[file]).case.machines if m.bus == 1)
+    imported = next(
+        m for m in import_psse(raw, dyr, options=ImportOptions(devices=[file])).case.machines if m.bus == 1
+    )
     assert imported.exciter.parameters == {k: v for k, v in PI_ROW.items() if k != "kind"}
     with pytest.raises(
         CaseError, match=r"model 'MY_PI' .*define it as a device named MY_PI and give its file"
@@ -167,7 +170,7 @@ def test_without_a_table_of_records_fields_are_the_parameters_in_order(tmp_path:
         import_psse(raw, dyr)
     dyr.write_text(dyr_text(case) + "1 'USRMDL' 1 'MY_PI' 4 0 0 3 3 0 0.02 20.0 5.0 /\n")
     with pytest.raises(CaseError, match=r"a.dyr:\d+: MY_PI has 3 fields, allowed: 4, TR KP KI TA"):
-        import_psse(raw, dyr, devices=[file])
+        import_psse(raw, dyr, options=ImportOptions(devices=[file]))
 
 
 def test_a_file_whose_orders_double_with_each_line_is_refused_at_once() -> None:

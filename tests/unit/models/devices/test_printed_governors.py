@@ -21,6 +21,7 @@ from interarea.models.errors import CaseError, DeviceError
 from interarea.models.exporters.dyr import dyr_of
 from interarea.models.grid.control_tables import StartError
 from interarea.models.grid.equilibrium import operating_point
+from interarea.models.importers.imported import ImportOptions
 from interarea.models.importers.psse import import_psse
 
 RAW = Path(__file__).parent / "psse_records" / "ThreeBusMulti.raw"
@@ -152,7 +153,7 @@ def test_the_signal_of_another_program_is_taken_as_none(tmp_path: Path) -> None:
         report = import_psse(tmp_path / "grid.raw", tmp_path / "grid.dyr").report
         said.append([line for line in report.assumed if "which another program supplies" in line])
         with pytest.raises(CaseError, match="--strict"):
-            import_psse(tmp_path / "grid.raw", tmp_path / "grid.dyr", strict=True)
+            import_psse(tmp_path / "grid.raw", tmp_path / "grid.dyr", options=ImportOptions(strict=True))
     assert cases[0] == cases[1]
     assert not said[0] and len(said[1]) == 1
 

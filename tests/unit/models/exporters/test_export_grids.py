@@ -13,6 +13,7 @@ from interarea.models.exporters.raw import raw_of
 from interarea.models.exporters.written import Written
 from interarea.models.grid.network import admittance_matrix
 from interarea.models.grid.powerflow import solve_powerflow
+from interarea.models.importers.imported import ImportOptions
 from interarea.models.importers.matpower import import_matpower
 from interarea.models.importers.psse import import_psse
 
@@ -49,9 +50,11 @@ def read_back(folder: Path, written: Written, suffix: str) -> Case:
     path = folder / f"grid{suffix}"
     path.write_text(written.text)
     if suffix == ".m":
-        imported = import_matpower(path, frequency_hz=60.0, P_exponent=2.0, Q_exponent=2.0, strict=True)
+        imported = import_matpower(
+            path, options=ImportOptions(frequency_hz=60.0, P_exponent=2.0, Q_exponent=2.0, strict=True)
+        )
     else:
-        imported = import_psse(path, P_exponent=2.0, Q_exponent=2.0, strict=True)
+        imported = import_psse(path, options=ImportOptions(P_exponent=2.0, Q_exponent=2.0, strict=True))
     assert imported.solution.stored_mva < 1e-5  # the voltages written are a solution
     return imported.case
 

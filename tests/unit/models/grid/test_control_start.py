@@ -16,6 +16,7 @@ from interarea.models.grid.control_tables import StartError
 from interarea.models.grid.equilibrium import operating_point
 from interarea.models.grid.start import release_limits, start_of
 from interarea.models.importers.file import import_grid
+from interarea.models.importers.imported import ImportOptions
 
 GRID = load_case("nets-nyps")
 FIELD = {d.place: d.rest.output for d in operating_point(GRID).controls.of("exciter")}
@@ -122,7 +123,7 @@ def test_an_import_says_how_its_controls_start(tmp_path, interarea):
         code, _, err = interarea(*command, "--dyr", dyr)
         assert code == 2 and err.count("\n") == 1 and "above EMAX = 1.2" in err
         assert f"`interarea import {raw} --dyr {dyr} --release-limits --out grid.toml`" in err
-    imported = import_grid(raw, dyr=dyr, release_limits=True)
+    imported = import_grid(raw, dyr=dyr, options=ImportOptions(release_limits=True))
     assert "exciter.EMAX: 1.2 -> " in imported.report.text()
     rest = operating_point(imported.case).controls.of("exciter")[0].rest
     assert rest.instance.values["EMAX"] == pytest.approx(1.1 * rest.output, rel=1e-9)

@@ -12,6 +12,7 @@ from interarea.models.blocks.plant import event_parameters, plant_block
 from interarea.models.case.events import events_of
 from interarea.models.errors import CaseError
 from interarea.models.importers.file import import_grid
+from interarea.models.importers.imported import ImportOptions
 
 RENA = Path(__file__).parents[5] / "shared" / "reference" / "psse_traces" / "RENA"
 DYR = {
@@ -97,7 +98,9 @@ def test_records_that_make_no_plant_are_refused_with_their_line(tmp_path, old, n
 
 def test_as_currents_there_is_no_converter():
     case = import_grid(
-        RENA / "ThreeBusRenewable.raw", dyr=RENA / f"{DYR['RENA_DEFAULT']}.dyr", converters="current"
+        RENA / "ThreeBusRenewable.raw",
+        dyr=RENA / f"{DYR['RENA_DEFAULT']}.dyr",
+        options=ImportOptions(converters="current"),
     ).case
     assert case.converters == ()
     plant = next(load for load in case.loads if load.name == "G103")

@@ -21,6 +21,7 @@ from interarea.models.errors import CaseError, DeviceError
 from interarea.models.grid.equilibrium import operating_point
 from interarea.models.grid.machine_tables import in_plant_order
 from interarea.models.importers.file import import_grid
+from interarea.models.importers.imported import ImportOptions
 
 TRACES = Path(__file__).parents[5] / "shared" / "reference" / "psse_traces"
 RECORD = TRACES / "DERA_FREQFLAG0"
@@ -229,7 +230,9 @@ def record_line(bus, **changes):
 def record_case(folder, text):
     path = folder / "grid.dyr"
     path.write_text((RECORD / "ThreeBus_DERA.dyr").read_text() + text)
-    return import_grid(RECORD / "ThreeBusMulti.raw", dyr=path, P_exponent=1.0, Q_exponent=2.0).case
+    return import_grid(
+        RECORD / "ThreeBusMulti.raw", dyr=path, options=ImportOptions(P_exponent=1.0, Q_exponent=2.0)
+    ).case
 
 
 @pytest.mark.slow

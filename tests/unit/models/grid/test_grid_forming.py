@@ -27,6 +27,7 @@ from interarea.models.files import default_cache
 from interarea.models.grid.equilibrium import operating_point
 from interarea.models.grid.machine_tables import in_plant_order
 from interarea.models.grid.powerflow import solve_powerflow
+from interarea.models.importers.imported import ImportOptions
 from interarea.models.importers.psse import import_psse
 
 #: name -> parameters, how many states
@@ -353,7 +354,7 @@ def test_a_record_becomes_a_converter_behind_the_impedance_of_the_raw_file(tmp_p
     assert values["Xe"] == pytest.approx(load_case("kundur-pss").machine("G4").Xd1, rel=1e-9)
     rates, _ = BlockShim(plant_block(case)).derivatives(BlockShim(plant_block(case)).x)
     assert np.max(np.abs(rates)) < 1e-8
-    assert import_psse(raw, dyr, converters_as_current=True).case.converters == ()
+    assert import_psse(raw, dyr, options=ImportOptions(converters="current")).case.converters == ()
 
 
 def test_a_record_of_gridpack_is_the_same_converter(tmp_path):

@@ -15,6 +15,7 @@ from interarea.models.blocks.plant import plant_block
 from interarea.models.errors import CaseError
 from interarea.models.grid.equilibrium import operating_point
 from interarea.models.grid.machine_tables import in_plant_order
+from interarea.models.importers.imported import ImportOptions
 from interarea.models.importers.psse import import_psse
 
 TURBINE = {"TRAIN": 1, "WT3": 1, "REECA": 1, "H": 4.0, "Imax": 1.3, "Kpc": 3.0, "Twref": 5.0}
@@ -320,7 +321,7 @@ def test_a_part_of_a_turbine_is_refused_with_the_remedy(tmp_path, left):
         import_psse(*files)
     assert "allowed: all of WTARA1, WTPTA1, WTTQA1, WTDTA1" in str(reported.value)
     assert f"--leave-out {there} uses a turbine" in str(reported.value) and ".dyr:" in str(reported.value)
-    case = import_psse(*files, leave_out=there.split(",")).case
+    case = import_psse(*files, options=ImportOptions(leave_out=there.split(","))).case
     assert case.converters[0].control.parameters.get("WT3", 0.0) == 0.0
 
 

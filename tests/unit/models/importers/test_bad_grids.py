@@ -15,6 +15,7 @@ from interarea.models.case.case import load_case
 from interarea.models.errors import CaseError
 from interarea.models.grid.powerflow import PowerFlowError
 from interarea.models.importers.dyr import read_dyr
+from interarea.models.importers.imported import ImportOptions
 from interarea.models.importers.psse import import_psse, static_grid
 from interarea.models.importers.raw.file import read_raw
 from interarea.models.importers.report import Report
@@ -210,4 +211,4 @@ def test_a_second_branch_of_one_identifier_is_a_further_circuit_which_is_said(tm
     what = "branch whose identifier is given twice: read as another circuit"
     assert imported.report.assumed[what] == 2
     with pytest.raises(CaseError, match=rf"grid\.raw:\d+: {what}, which --strict does not allow"):
-        import_psse(path, strict=True)
+        import_psse(path, options=ImportOptions(strict=True))

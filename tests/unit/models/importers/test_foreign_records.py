@@ -10,7 +10,7 @@ from grid_text import raw_text
 from interarea.models.case.case import load_case
 from interarea.models.errors import CaseError
 from interarea.models.importers.file import import_grid
-from interarea.models.importers.imported import Imported
+from interarea.models.importers.imported import Imported, ImportOptions
 
 RAW = raw_text(load_case("kundur-thyristor-z"))
 MACHINES = "".join(
@@ -24,7 +24,7 @@ TURBINE = "0 0 20 1 0 0.1 0.1 -0.1 1 0 0.2 0.3 0 5 0.7 0 0 0 0 0 0 0"
 def taken(folder: Path, records: str, **options) -> Imported:  # type: ignore[no-untyped-def]
     (folder / "grid.raw").write_text(RAW)
     (folder / "grid.dyr").write_text(MACHINES + records)
-    return import_grid(folder / "grid.raw", dyr=folder / "grid.dyr", **options)
+    return import_grid(folder / "grid.raw", dyr=folder / "grid.dyr", options=ImportOptions(**options))
 
 
 def loads(imported: Imported) -> dict[str, tuple[float, float, float, float]]:
@@ -49,9 +49,9 @@ def test_a_classical_machine_without_reactance_names_the_line_of_its_unit(tmp_pa
         import_grid(tmp_path / "grid.raw", dyr=tmp_path / "grid.dyr")
 
 
-@pytest.mark.parametrize("option", ["leave_out", "replace_models"])
+@pytest.mark.parametrize("option", ["leave_out", "replace"])
 def test_a_model_that_the_file_does_not_have_is_refused(tmp_path: Path, option: str) -> None:
-    given = {"OLTC": "SEXS"} if option == "replace_models" else ["OLTC"]
+    given = {"OLTC": "SEXS"} if option == "replace" else ["OLTC"]
     with pytest.raises(CaseError, match=r"'OLTC': no record of that model, allowed: GENROU, SEXS"):
         taken(tmp_path, SEXS, **{option: given})
 
@@ -62,7 +62,7 @@ def test_a_record_read_as_another_model_is_that_model(tmp_path: Path) -> None:
     western = f"1 'WSIEG1' 1 {TURBINE} {curve} /\n"
     governor = taken(tmp_path, western).case.machine("G1").governor
     assert governor.kind == "wsieg1" and governor.DB1 == 0.01
-    read = taken(tmp_path, western, replace_models={"WSIEG1": "IEEEG1"})
+    read = taken(tmp_path, western, replace={"WSIEG1": "IEEEG1"})
     plain = taken(tmp_path, f"1 'IEEEG1' 1 {TURBINE} /\n")
     assert read.case.machine("G1").governor == plain.case.machine("G1").governor
     assert f"WSIEG1 read as IEEEG1 as requested, its last 14 field(s) {curve} left out" in (

@@ -17,6 +17,7 @@ from interarea.models.case.variants import operating_variant
 from interarea.models.case.write_toml import export_toml
 from interarea.models.grid.network import admittance_matrix
 from interarea.models.grid.powerflow import solve_powerflow
+from interarea.models.importers.imported import ImportOptions
 from interarea.models.importers.matpower import import_matpower
 from interarea.models.importers.psse import import_psse
 
@@ -46,7 +47,9 @@ def test_raw_gives_the_same_admittances_and_the_same_power_flow(write: Write, na
 def test_dyr_gives_the_same_machines_and_controls(write: Write) -> None:
     case = load_case("kundur-pss")
     copy = import_psse(
-        write("grid.raw", raw_text(case)), write("grid.dyr", dyr_text(case)), P_exponent=1.0
+        write("grid.raw", raw_text(case)),
+        write("grid.dyr", dyr_text(case)),
+        options=ImportOptions(P_exponent=1.0),
     ).case
     for ours, theirs in zip(copy.machines, case.machines, strict=True):
         keys = ("H", "D", "Xd", "Xq", "Xl", "Xd1", "Xq1", "Xd2", "Xq2", "Td01", "Tq01", "Td02", "Tq02", "Ra")
@@ -238,7 +241,7 @@ def test_a_unit_without_dynamic_data_is_an_injection_which_is_said(
     imported = import_psse(
         write("grid.raw", raw_text(case)),
         write("grid.dyr", records),
-        converters_as_current=converters_as_current,
+        options=ImportOptions(converters="current" if converters_as_current else "model"),
     )
     injection = next(load for load in imported.case.loads if load.name == "G4")
     assert (injection.P_exponent, injection.Q_exponent) == (exponent, exponent)
@@ -381,7 +384,7 @@ def test_import_command_writes_a_case_that_loads_and_refuses_other_files(
     raw, dyr = write("grid.raw", raw_text(case)), write("grid.dyr", dyr_text(case))
     out = tmp_path / "case.toml"
     assert call(raw, "--dyr", dyr, "--out", out, "--p-exponent", 1.0)[0] == 0
-    assert load_case(out).hash == import_psse(raw, dyr, P_exponent=1.0).case.hash
+    assert load_case(out).hash == import_psse(raw, dyr, options=ImportOptions(P_exponent=1.0)).case.hash
     code, message = call(write("grid.epc", ""), "--out", out)
     assert code == 2 and "suffix '.epc', allowed: .raw" in message
     code, message = call(raw, "--dyr", dyr, "--out", out, "--strict")

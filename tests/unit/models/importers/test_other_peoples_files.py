@@ -15,7 +15,7 @@ from interarea.models.errors import CaseError
 from interarea.models.importers.dynamics import machine_dynamics, read_dynamics
 from interarea.models.importers.dyr import read_dyr
 from interarea.models.importers.file import import_grid
-from interarea.models.importers.imported import Imported
+from interarea.models.importers.imported import Imported, ImportOptions
 from interarea.models.importers.report import Report
 
 CASE = load_case("kundur-pss")
@@ -25,10 +25,10 @@ RAW, DYR = raw_text(CASE), dyr_text(CASE)
 def taken(folder: Path, text: str, name: str = "grid.raw", *, dyr: str | None = None, **options) -> Imported:
     """Write a grid file and import it."""
     (folder / name).write_text(text)
-    if dyr is not None:
-        (folder / "grid.dyr").write_text(dyr)
-        options["dyr"] = folder / "grid.dyr"
-    return import_grid(folder / name, **options)
+    if dyr is None:
+        return import_grid(folder / name, options=ImportOptions(**options))
+    (folder / "grid.dyr").write_text(dyr)
+    return import_grid(folder / name, folder / "grid.dyr", ImportOptions(**options))
 
 
 # ---------------------------------------------------------------- DYR text

@@ -15,6 +15,7 @@ from interarea.models.case.case import load_case
 from interarea.models.errors import CaseError
 from interarea.models.importers import published as module
 from interarea.models.importers.file import import_grid
+from interarea.models.importers.imported import ImportOptions
 from interarea.models.importers.psse import import_psse
 
 RECORDS = Path(__file__).parents[1] / "devices" / "psse_records"
@@ -32,7 +33,9 @@ def _leaves(value: Any, key: tuple[str, ...] = ()) -> dict[tuple[str, ...], Any]
 
 def test_the_bundled_grid_is_what_the_import_makes_of_the_published_files():
     files = (f"240busWECC_2018_{end}.xz" for end in ("PSS32_fixed_shunts.raw", "PSS.dyr"))
-    imported = import_psse(*(WECC_240 / name for name in files), name="wecc-240", converters_as_current=True)
+    imported = import_psse(
+        *(WECC_240 / name for name in files), name="wecc-240", options=ImportOptions(converters="current")
+    )
     bundled, ours = (_leaves(c.model_dump(mode="json")) for c in (load_case("wecc-240"), imported.case))
     words = ("title", "source", "sources", "swing")
     assert {key for key in bundled if key[0] not in words} == {key for key in ours if key[0] not in words}

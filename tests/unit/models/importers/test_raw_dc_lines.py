@@ -15,6 +15,7 @@ from interarea.models.errors import CaseError
 from interarea.models.exporters.raw import raw_of
 from interarea.models.grid.dc_link import link_point
 from interarea.models.grid.powerflow import solve_powerflow
+from interarea.models.importers.imported import ImportOptions
 from interarea.models.importers.psse import import_psse
 
 LINE = "'POLE 1',{mode},10.0,{setting},200.0,0,{comp},0.15,'I',0,20,1"
@@ -29,7 +30,7 @@ def imported(folder: Path, version: int = 33, *, as_power: bool = False, **value
         lines[1] = lines[1].replace(",0,0,0,'1'", ",0,0,0,0,'1'")
     path = folder / "grid.raw"
     path.write_text(raw_grid(version, extra={"two-terminal dc": lines}))
-    return import_psse(path, dc_lines_as_power=as_power)
+    return import_psse(path, options=ImportOptions(dc_lines="power" if as_power else "model"))
 
 
 AT_RECTIFIER = (-200.0 + math.sqrt(200.0**2 + 4.0 * 10.0 * 50.0)) / 20.0  # kA: (200 + 10 I) I = 50

@@ -12,7 +12,7 @@ from raw_grids import raw_grid
 from interarea.models.errors import CaseError
 from interarea.models.grid.network import admittance_matrix
 from interarea.models.grid.powerflow import PowerFlowError, solve_powerflow
-from interarea.models.importers.imported import Imported
+from interarea.models.importers.imported import Imported, ImportOptions
 from interarea.models.importers.psse import import_psse, static_grid
 from interarea.models.importers.raw.file import read_raw
 from interarea.models.importers.raw.lines import corrections
@@ -31,7 +31,7 @@ SECTIONS = {
 def of_text(folder: Path, text: str, **options) -> Imported:
     path = folder / "grid.raw"
     path.write_text(text)
-    return import_psse(path, **options)
+    return import_psse(path, options=ImportOptions(**options))
 
 
 def static(folder: Path, version: int = 33, **extra: list[str]) -> StaticGrid:

@@ -12,6 +12,7 @@ from raw_grids import VERSIONS, raw_grid
 
 from interarea.models.errors import CaseError
 from interarea.models.grid.powerflow import solve_powerflow
+from interarea.models.importers.imported import ImportOptions
 from interarea.models.importers.psse import import_psse, static_grid
 from interarea.models.importers.raw.file import RawFile, read_raw
 from interarea.models.importers.report import Report
@@ -79,7 +80,7 @@ def test_a_file_that_lies_about_its_version_is_read_as_it_is_laid_out(
     path = tmp_path / "grid.raw"
     assert any("says version" in remark for remark in import_psse(path).report.assumed)
     with pytest.raises(CaseError, match=rf"grid\.raw:1: says version {said} .*--strict"):
-        import_psse(path, strict=True)
+        import_psse(path, options=ImportOptions(strict=True))
 
 
 def test_versions_32_and_33_are_one_layout(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from interarea.grids import linearise
 from interarea.models.case.case import load_case
 from interarea.models.exporters.raw import raw_of
 from interarea.models.grid.powerflow import solve_powerflow
+from interarea.models.importers.imported import ImportOptions
 from interarea.models.importers.psse import import_psse
 
 LINE = "'V 1',1,{r},1,1.0"
@@ -25,7 +26,7 @@ def imported(folder: Path, version: int = 33, *, as_power: bool = False, **value
     lines = [line.format(**(USUAL | values)) for line in (LINE, POWER_END, VOLTAGE_END)]
     path = folder / "grid.raw"
     path.write_text(raw_grid(version, extra={"VSC dc": lines}))
-    return import_psse(path, dc_lines_as_power=as_power)
+    return import_psse(path, options=ImportOptions(dc_lines="power" if as_power else "model"))
 
 
 @pytest.mark.parametrize(("version", "power"), [(29, 40.0), (36, -40.0)])

@@ -9,6 +9,7 @@ import pytest
 
 from interarea.models.errors import CaseError
 from interarea.models.importers.file import import_grid
+from interarea.models.importers.imported import ImportOptions
 
 RAW = """0, 100.0, 35, 0, 0, 60.0 / a test
 
@@ -182,6 +183,6 @@ def test_a_field_that_raw_does_not_have_is_told(tmp_path: Path) -> None:
         f"{tmp_path}/grid.rawx:{line}"
     ]
     with pytest.raises(CaseError, match=r"field 'pi' .*--strict"):
-        import_grid(tmp_path / "grid.rawx", strict=True)
+        import_grid(tmp_path / "grid.rawx", options=ImportOptions(strict=True))
     later = import_grid(written(tmp_path, load([*FIELDS, "droopname"], [*ROW, "A"]))).report.first
     assert not any("which RAW" in what for what in later)
