@@ -15,7 +15,10 @@ from interarea.cosim.grid_study.page import sentence
 
 PAGE = Path(__file__).resolve().parents[1] / "worked_studies.md"
 #: bundled, and some that are downloaded where they are published; others are given by name
-GRIDS = ("two-area-thesis", "kundur-pss", "new-england", "nets-nyps", "npcc", "nordic-44", "wecc-179")
+GRIDS = (
+    *("two-area-thesis", "kundur-pss", "new-england", "nets-nyps", "npcc", "nordic-44", "wecc-179"),
+    "wecc-240",
+)
 _TABLE = re.compile(r"(?<=<!-- studies -->\n).*?(?=<!-- end of studies -->)", re.DOTALL)
 _HEAD = (
     "| grid: buses, machines | weakest inter-area mode | asked "
