@@ -20,8 +20,9 @@ from typing import Any
 import numpy as np
 
 import interarea as ia
-from interarea.cosim.designs.acceptance import AcceptanceTable, Setting, settings_of
+from interarea.cosim.designs.acceptance import Setting, settings_of
 from interarea.cosim.designs.design_file import load_design
+from interarea.cosim.designs.design_tables import AcceptanceTable
 from interarea.cosim.designs.family import family_cases
 from interarea.cosim.designs.fault_loops import ControllerOrBank
 from interarea.cosim.designs.fault_runs import FaultRun, FaultRuns, longest_kept

@@ -19,8 +19,9 @@ from typing import Any
 import control
 import numpy as np
 
-from interarea.cosim.designs.acceptance import FaultPlace, judge_acceptance
+from interarea.cosim.designs.acceptance import judge_acceptance
 from interarea.cosim.designs.design_file import load_design
+from interarea.cosim.designs.design_tables import FaultPlace
 from interarea.cosim.designs.family import DENSE_STATES, named_modes
 from interarea.cosim.run.artefacts import sparse_linear_plant
 from interarea.design.certificates.large_loop import LargePlant

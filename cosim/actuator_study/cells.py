@@ -14,7 +14,7 @@ from interarea.design.controllers.controller import Controller
 from interarea.fmu_build.write.cache import cached_json, code_hash, content_hash
 from interarea.models.case.case import Case
 
-from ..designs.acceptance import FaultPlace
+from ..designs.design_tables import FaultPlace
 from ..designs.fault_loops import FaultLoops
 from ..designs.fault_runs import FaultRun, FaultRuns
 from ..designs.first_swing import after_clearing

@@ -15,76 +15,19 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from itertools import product
 from pathlib import Path
-from typing import Annotated, Any, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
-from pydantic import Field
 
+from interarea.design.delay.signal_conditions import Condition
 from interarea.models.case.case import Case
 from interarea.models.case.named_changes import load_kind
-from interarea.models.table import Table
 
 from ..errors import ScenarioError
+from .design_tables import AcceptanceTable, FaultPlace, wrong_condition
 from .fault_loops import ControllerOrBank, FaultLoops, LoopEnd
 from .fault_runs import FaultRun, FaultRuns, Outcome, longest_kept
-from .first_swing import Positive, after_clearing
-
-Exponent = Annotated[float, Field(ge=0.0)]
-
-
-def require_points(key: str, names: Sequence[str], points: Sequence[str]) -> None:
-    """Raise ValueError where `names`, of a table's `key`, has what is no operating point of the design."""
-    if unknown := [name for name in names if name not in points]:
-        raise ValueError(f"{key} has {unknown}; the design's are {', '.join(points)}")
-
-
-class FaultPlace(Table):
-    """A three-phase fault at a bus, cleared by itself or by the trip of a branch."""
-
-    bus: int  #: number of the faulted bus
-    trip: str | None = None  #: branch whose trip clears the fault; without it the fault clears itself
-
-    def __str__(self) -> str:
-        return f"bus {self.bus}" + ("" if self.trip is None else f", {self.trip} tripped")
-
-
-class AcceptanceTable(Table):
-    """Faults that a controller must survive: every combination is run.
-
-    ceilings : (least, most) field voltage of every exciter that has limits, pu; as the case has them too.
-    loads : exponents of P and Q of every load; as the case has them too.
-    latency_s : of every signal. Each signal but those of `never_lost` is lost in turn at `lost_s`, and none.
-    clear_cycles : of the fault, periods of the case's frequency.
-    """
-
-    fault: tuple[FaultPlace, ...] = Field(min_length=1)  #: the faults, each run at every operating point
-    #: operating points of the faults; none: all of the design. A certificate names the others
-    points: tuple[str, ...] = ()
-    #: (least, most) field voltage of every exciter with limits, pu; in addition to those of the case
-    ceilings: tuple[tuple[float, float], ...] = ()
-    #: exponents of P and Q of every load, such as 1 and 2: P of constant current, Q of constant impedance; as
-    #: the case has them too
-    loads: tuple[tuple[Exponent, Exponent], ...] = ()
-    #: of every signal, one run for each value
-    latency_s: tuple[Annotated[float, Field(ge=0.0)], ...] = Field((0.1,), min_length=1)
-    clear_cycles: Positive = 8.0  #: duration of the fault, periods of the case's frequency
-    start_s: Positive = 1.0  #: start of the fault
-    lost_s: Positive = 1.5  #: start of the loss
-    #: signals that are not lost in the faults; a certificate names them first
-    never_lost: tuple[str, ...] = ()
-    #: end of each run; at least 60 s if the linear loop has a root slower than 0.05 1/s
-    stop_s: Positive = 10.0
-    x_pu: Positive = 1e-4  #: reactance of the fault to earth
-    longest_cycles: Positive = 30.0  #: clearing times are searched from 1 cycle to this
-    resolution_cycles: Positive = 0.15  #: resolution of a clearing time
-
-    def check(self, points: Sequence[str]) -> None:
-        """Raise ValueError where `points` of the table names what is no operating point of the design."""
-        require_points("acceptance.points", self.points, points)
-
-    def looked_at(self, cases: Mapping[str, Case]) -> dict[str, Case]:
-        """Return the operating points of `cases` at which faults are tried."""
-        return {point: case for point, case in cases.items() if not self.points or point in self.points}
+from .first_swing import after_clearing
 
 
 @dataclass(frozen=True)
@@ -97,6 +40,17 @@ class Setting:
     lost: tuple[str, ...] = ()
     latency_s: float = 0.0
     loads: tuple[float, float] | None = None
+    wrong: tuple[str, str] | None = None  #: how, as in the table, and which signal
+
+    @property
+    def condition(self) -> Condition:
+        """What is lost and what is wrong of the signals; their common latency apart."""
+        return Condition("lost", self.lost) if self.wrong is None else wrong_condition(*self.wrong)
+
+    def late(self, signals: Sequence[str]) -> dict[str, float]:
+        """Return the latency of each signal, s, with that of a wrong time stamp."""
+        more = self.condition.latency_s_of
+        return {name: self.latency_s + more.get(name, 0.0) for name in signals}
 
     @property
     def ceilings(self) -> str:
@@ -111,7 +65,7 @@ class Setting:
     def __str__(self) -> str:
         limits = "" if self.ceiling is None else f", ceilings {self.ceilings}"
         limits += "" if self.loads is None else f", loads {self.load_kind}"
-        missing = f", {' and '.join(self.lost)} lost" if self.lost else ""
+        missing = f", {self.condition.in_words}" if self.lost or self.wrong else ""
         return f"{self.point}{limits}, fault at {self.fault}{missing}, {1e3 * self.latency_s:g} ms"
 
 
@@ -197,11 +151,14 @@ def settings_of(
             f"acceptance: never_lost names {', '.join(strange)}; the controller's signals are "
             f"{', '.join(signals)}"
         )
-    losses = [(), *((name,) for name in signals if name not in table.never_lost)]
+    sure = [name for name in signals if name not in table.never_lost]
+    kinds: list[tuple[tuple[str, ...], tuple[str, str] | None]] = [((), None)]
+    kinds += [((name,), None) for name in sure]
+    kinds += [((), (code, name)) for code in table.wrong for name in sure]
     for fault in table.fault:
         yield (
             Setting(point, ceiling, fault, loads=loads),
-            [Setting(point, ceiling, fault, lost, s, loads) for lost in losses for s in table.latency_s],
+            [Setting(point, ceiling, fault, lost, s, loads, w) for lost, w in kinds for s in table.latency_s],
         )
 
 
@@ -261,7 +218,15 @@ class Trial:
             self.controller if controlled else None,
             setting.latency_s,
             dict.fromkeys(setting.lost, t.lost_s),
+            _signal_faults(setting.condition, t.lost_s) if setting.wrong else {},
         )
+
+
+def _signal_faults(condition: Condition, start_s: float) -> dict[str, dict[str, Any]]:
+    """Return the table of `signal_faults` of each signal that is wrong from `start_s` on."""
+    scaled = {n: {"kind": "scale", "factor": k} for n, k in condition.scale_of.items()}
+    late = {n: {"kind": "time_error", "offset_s": s} for n, s in condition.latency_s_of.items()}
+    return {name: {**table, "start_s": start_s} for name, table in (scaled | late).items()}
 
 
 def with_ceilings(case: Case, least: float, most: float) -> Case:
@@ -397,7 +362,13 @@ class _Collected:
 def _ends(loops: FaultLoops, groups: Groups) -> dict[Try, LoopEnd]:
     """Return the linear loop that each setting ends in, without control and with it."""
     return {
-        (s, s is not alone): loops.end(s.fault.trip, s.lost, s.latency_s, controlled=s is not alone)
+        (s, s is not alone): loops.end(
+            s.fault.trip,
+            s.lost,
+            s.late(loops.controller.inputs),
+            scale_of=s.condition.scale_of,
+            controlled=s is not alone,
+        )
         for alone, settings in groups
         for s in (alone, *settings)
     }

@@ -13,8 +13,7 @@ from interarea.models.case.case import load_case
 from ..scenario.names import CONTROLLER_NAMES
 
 if TYPE_CHECKING:
-    from .acceptance import AcceptanceTable
-    from .design_tables import PointTable
+    from .design_tables import AcceptanceTable, PointTable
 
 
 class Judging(Protocol):
@@ -42,16 +41,19 @@ def not_covered(table: Judging, signals: Sequence[str], acceptance: Mapping[str,
         parts.append("two signals lost at once")
     if len(table.point) == 1:
         parts.append("other operating points")
-    return "; ".join([*parts, _WRONG])
+    return "; ".join([*parts, _wrong(table)])
 
 
 def bank_not_covered(table: Judging, acceptance: Mapping[str, Any] | None) -> str:
     """Return in words what the switching certificate of a bank, and its faults by `table`, say nothing of."""
     linear = ["late signals and other operating points in the proof of switching"]
-    return "; ".join([*_faults_left_out(table, acceptance), *linear, _WRONG])
+    return "; ".join([*_faults_left_out(table, acceptance), *linear, _wrong(table)])
 
 
-_WRONG = "a signal that is wrong while marked as valid"
+def _wrong(table: Judging) -> str:
+    codes = () if table.acceptance is None else table.acceptance.wrong
+    other = f" otherwise than by {', '.join(codes)}" if codes else ""
+    return f"a signal that is wrong{other} while marked as valid"
 
 
 def _faults_left_out(table: Judging, acceptance: Mapping[str, Any] | None) -> list[str]:

@@ -27,9 +27,10 @@ from interarea.models.table import Table
 from ..errors import ScenarioError, nearest
 from ..scenario.named import design_file as named_file
 from ..toml_file import case_beside, read_toml
-from .acceptance import AcceptanceTable, judge_acceptance
+from .acceptance import judge_acceptance
 from .certificate_words import not_covered
 from .design_tables import (
+    AcceptanceTable,
     AskTable,
     BankTable,
     GuardTable,

@@ -1,16 +1,19 @@
-"""Tables inside a design file: operating points, parts, stages of the search, guard, what is asked."""
+"""Tables inside a design file: operating points, parts, stages of the search, guard, faults."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+import re
+from collections.abc import Collection, Mapping, Sequence
 from itertools import pairwise
 from typing import Annotated
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, Field, field_validator
 
+from interarea.design.delay.signal_conditions import Condition, condition_of_many
 from interarea.design.robust.smoothed_objective import BandOffsets
 from interarea.design.robust.stages import Stage
 from interarea.models.blocks.controller import Guard
+from interarea.models.case.case import Case
 from interarea.models.table import Table
 
 Positive = Annotated[float, Field(gt=0.0)]
@@ -194,3 +197,79 @@ class GuardTable(Table):
     def guard(self) -> Guard:
         """Return it as a controller has it."""
         return Guard(**self.model_dump())
+
+
+Exponent = Annotated[float, Field(ge=0.0)]
+
+
+def require_points(key: str, names: Sequence[str], points: Sequence[str]) -> None:
+    """Raise ValueError where `names`, of a table's `key`, has what is no operating point of the design."""
+    if unknown := [name for name in names if name not in points]:
+        raise ValueError(f"{key} has {unknown}; the design's are {', '.join(points)}")
+
+
+class FaultPlace(Table):
+    """A three-phase fault at a bus, cleared by itself or by the trip of a branch."""
+
+    bus: int  #: number of the faulted bus
+    trip: str | None = None  #: branch whose trip clears the fault; without it the fault clears itself
+
+    def __str__(self) -> str:
+        return f"bus {self.bus}" + ("" if self.trip is None else f", {self.trip} tripped")
+
+
+class AcceptanceTable(Table):
+    """Faults that a controller must survive: every combination is run.
+
+    ceilings : (least, most) field voltage of every exciter that has limits, pu; as the case has them too.
+    loads : exponents of P and Q of every load; as the case has them too.
+    latency_s : of every signal. Each signal but those of `never_lost` is lost in turn at `lost_s`, and none;
+    then each is wrong in each way of `wrong`.
+    clear_cycles : of the fault, periods of the case's frequency.
+    """
+
+    fault: tuple[FaultPlace, ...] = Field(min_length=1)  #: the faults, each run at every operating point
+    #: operating points of the faults; none: all of the design. A certificate names the others
+    points: tuple[str, ...] = ()
+    #: (least, most) field voltage of every exciter with limits, pu; in addition to those of the case
+    ceilings: tuple[tuple[float, float], ...] = ()
+    #: exponents of P and Q of every load, such as 1 and 2: P of constant current, Q of constant impedance; as
+    #: the case has them too
+    loads: tuple[tuple[Exponent, Exponent], ...] = ()
+    #: of every signal, one run for each value
+    latency_s: tuple[Annotated[float, Field(ge=0.0)], ...] = Field((0.1,), min_length=1)
+    clear_cycles: Positive = 8.0  #: duration of the fault, periods of the case's frequency
+    start_s: Positive = 1.0  #: start of the fault
+    lost_s: Positive = 1.5  #: start of the loss, or of the wrong signal
+    #: signals that are not lost or wrong in the faults; a certificate names them first
+    never_lost: tuple[str, ...] = ()
+    #: how each signal is wrong in turn while marked as valid: x0 and x3 by its scale, x-1 of the wrong
+    #: polarity, s300 by a time stamp 300 ms too new
+    wrong: tuple[str, ...] = ()
+    #: end of each run; at least 60 s if the linear loop has a root slower than 0.05 1/s
+    stop_s: Positive = 10.0
+    x_pu: Positive = 1e-4  #: reactance of the fault to earth
+    longest_cycles: Positive = 30.0  #: clearing times are searched from 1 cycle to this
+    resolution_cycles: Positive = 0.15  #: resolution of a clearing time
+
+    @field_validator("wrong")
+    @classmethod
+    def _codes(cls, wrong: tuple[str, ...]) -> tuple[str, ...]:
+        for code in wrong:
+            wrong_condition(code, "SIGNAL")
+        return wrong
+
+    def check(self, points: Sequence[str]) -> None:
+        """Raise ValueError where `points` of the table names what is no operating point of the design."""
+        require_points("acceptance.points", self.points, points)
+
+    def looked_at(self, cases: Mapping[str, Case]) -> dict[str, Case]:
+        """Return the operating points of `cases` at which faults are tried."""
+        return {point: case for point, case in cases.items() if not self.points or point in self.points}
+
+
+def wrong_condition(code: str, signal: str) -> Condition:
+    """Return the condition of one wrong signal; ValueError for a code of another kind."""
+    if not re.match(r"[xs]", code):
+        raise ValueError(f"wrong has {code!r}, allowed: x<factor> such as x-1, s<ms> such as s300")
+    return condition_of_many(f"{code}:{signal}", (signal,))

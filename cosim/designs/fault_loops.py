@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import log
 from pathlib import Path
+from types import MappingProxyType
 from typing import TypeAlias
 
 import control
@@ -33,6 +34,7 @@ from .family import FamilyPlant
 
 ControllerOrBank: TypeAlias = Controller | ControllerBank
 _Late: TypeAlias = tuple[float, ...]  # s, of each signal of the controller
+_Scales: TypeAlias = tuple[tuple[str, float], ...]  # of the signals that are wrong
 SLOW = 0.05  #: 1/s: a loop whose slowest root decays less fast is run for `LONG_S` at least
 LONG_S, LONGEST_S = 60.0, 240.0  #: of such a run
 _LEFT = -2.5  # 1/s: roots left of it are slow for no run
@@ -73,7 +75,7 @@ class FaultLoops:
         self.case, self.controller, self._cache = case, controller, cache
         self._plants: dict[str | None, FamilyPlant] = {}
         self.unsolved: list[str] = []  #: branches without which there is no power flow
-        self._ends: dict[tuple[str | None, tuple[str, ...], _Late, bool], LoopEnd] = {}
+        self._ends: dict[tuple[str | None, tuple[str, ...], _Late, _Scales, bool], LoopEnd] = {}
 
     def end(
         self,
@@ -81,11 +83,13 @@ class FaultLoops:
         lost: Sequence[str] = (),
         latency_s: float | Mapping[str, float] = 0.0,
         *,
+        scale_of: Mapping[str, float] = MappingProxyType({}),
         controlled: bool = True,
     ) -> LoopEnd:
         """Return the loop with branch `trip` out, these signals lost, the others late.
 
-        latency_s : of every signal, or of each, 0 where it is not named.
+        latency_s : of every signal, or of each, 0 where it is not named. scale_of : factor on each, 1 where
+        it is not named.
         """
         if trip is not None and not self.case.branch(trip).in_service:
             trip = None  # it is out already
@@ -93,9 +97,10 @@ class FaultLoops:
             latency_s.get(name, 0.0) if isinstance(latency_s, Mapping) else latency_s
             for name in self.controller.inputs
         )
-        key = (trip, tuple(lost), late, controlled)
+        scales = tuple(scale_of.items())
+        key = (trip, tuple(lost), late, scales, controlled)
         if key not in self._ends:
-            self._ends[key] = self._end(self._plant(trip), lost, late, controlled)
+            self._ends[key] = self._end(self._plant(trip), lost, late, scales, controlled)
         return self._ends[key]
 
     def _plant(self, trip: str | None) -> FamilyPlant:
@@ -111,17 +116,20 @@ class FaultLoops:
                 self._plants[trip] = self._plant(None)
         return self._plants[trip]
 
-    def _end(self, plant: FamilyPlant, lost: Sequence[str], latency_s: _Late, controlled: bool) -> LoopEnd:
+    def _end(
+        self, plant: FamilyPlant, lost: Sequence[str], latency_s: _Late, scales: _Scales, controlled: bool
+    ) -> LoopEnd:
         K = self.controller.acting(lost) if isinstance(self.controller, ControllerBank) else self.controller
         system = _remaining(K.system if controlled else K.scaled(0.0).system, plant)
         signals = [str(name) for name in system.input_labels]
         gone = tuple(name for name in signals if name in lost)
         of_each = dict(zip(self.controller.inputs, latency_s, strict=True))
         late = {name: of_each[name] for name in signals if name not in gone}
+        condition = Condition("after a fault", gone, late, {n: k for n, k in scales if n in late})
         if isinstance(plant.judged, LargePlant):
-            facts = plant.judged.facts(system, Condition("after a fault", gone, late))
+            facts = plant.judged.facts(system, condition)
             return LoopEnd(facts.stable, complex(facts.rightmost))
-        return _dense_end(plant.judged, system, gone, late)
+        return _dense_end(plant.judged, system, condition)
 
 
 def _remaining(K: control.StateSpace, plant: FamilyPlant) -> control.StateSpace:
@@ -134,10 +142,9 @@ def _remaining(K: control.StateSpace, plant: FamilyPlant) -> control.StateSpace:
     return select(K, signals, actuators) if signals and actuators else control.ss([], [], [], [])
 
 
-def _dense_end(
-    plant: control.StateSpace, K: control.StateSpace, lost: Sequence[str], late: dict[str, float]
-) -> LoopEnd:
-    roots = rightmost_roots(delayed_loop(plant, K, late, lost=lost), right_of=_LEFT)
+def _dense_end(plant: control.StateSpace, K: control.StateSpace, condition: Condition) -> LoopEnd:
+    loop = delayed_loop(plant, K, condition.latency_s_of, lost=condition.lost, scale_of=condition.scale_of)
+    roots = rightmost_roots(loop, right_of=_LEFT)
     moving = roots[np.abs(roots) > ZERO_EIGENVALUE]
     if not moving.size:
         return LoopEnd(True, complex(_LEFT))

@@ -40,10 +40,11 @@ Key = TypeVar("Key", bound=Hashable)
 
 @dataclass(frozen=True)
 class FaultRun:
-    """One run: events after a start at rest, and the controller whose signals come late or not at all.
+    """One run: events after a start at rest, and the controller whose signals come late, wrong or not at all.
 
     events : as in a scenario file. latency_s : of every signal, or of each, 0 where it is not named. lost_s :
-    signal -> when it goes for good: it is zero at once, as in the linear loops.
+    signal -> when it goes for good: it is zero at once, as in the linear loops. wrong : signal -> the table
+    of its `signal_faults`.
     """
 
     events: Sequence[Mapping[str, Any]]
@@ -51,6 +52,7 @@ class FaultRun:
     controller: Controller | ControllerBank | None = None
     latency_s: float | Mapping[str, float] = 0.0
     lost_s: Mapping[str, float] = field(default_factory=dict)
+    wrong: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     def document(self) -> dict[str, Any]:
         """Return it as a scenario; case and controller are given to it as objects."""
@@ -63,6 +65,7 @@ class FaultRun:
                     "latency_s": late.get(signal, 0.0) if isinstance(late, Mapping) else late,
                     "on_loss": "zero",
                     "outages_s": [[self.lost_s[signal], self.stop_s]] if signal in self.lost_s else [],
+                    "signal_faults": [dict(self.wrong[signal])] if signal in self.wrong else [],
                 }
                 for signal in self.controller.inputs
             }

@@ -25,7 +25,8 @@ from ..errors import ScenarioError
 from ..results.largest_deviation import angles_of, with_angles
 from ..run.artefacts import plant_fmu
 from ..trajectory import Trajectory
-from .acceptance import AcceptanceTable, FaultPlace, require_points, with_ceilings
+from .acceptance import with_ceilings
+from .design_tables import AcceptanceTable, FaultPlace, require_points
 from .fault_runs import FaultRun, FaultRuns
 from .first_swing import Positive, after_clearing
 

@@ -11,16 +11,10 @@ from interarea.design.controllers.controller import Controller
 from interarea.fmu_build.write.cache import cached_json, code_hash, content_hash
 from interarea.models.case.case import Case
 
-from ..designs.acceptance import (
-    Acceptance,
-    AcceptanceTable,
-    ClearingRow,
-    clearing_times,
-    joined,
-    judge_acceptance,
-)
+from ..designs.acceptance import Acceptance, ClearingRow, clearing_times, joined, judge_acceptance
 from ..designs.certificate_words import not_covered
 from ..designs.design_file import DesignTable, design_record
+from ..designs.design_tables import AcceptanceTable
 from ..designs.family import family_cases
 from .clock import Clock
 

@@ -26,7 +26,7 @@ from interarea.design.robust.smoothed_objective import BandOffsets
 from interarea.fmu_build.write.cache import cached_json, code_hash, content_hash
 from interarea.models.case.case import Case
 
-from ..designs.acceptance import FaultPlace
+from ..designs.design_tables import FaultPlace
 from ..designs.family import FamilyPlant
 from ..designs.fault_runs import FaultRun, FaultRuns, longest_kept
 from ..designs.first_swing import FaultTable, after_clearing

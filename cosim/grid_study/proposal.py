@@ -23,9 +23,8 @@ from interarea.fmu_build.write.cache import cached_json, code_hash, content_hash
 from interarea.models.case.write_toml import toml_text
 from interarea.models.errors import CaseError
 
-from ..designs.acceptance import AcceptanceTable, FaultPlace
 from ..designs.design_file import DesignTable, design_of
-from ..designs.design_tables import PointTable
+from ..designs.design_tables import AcceptanceTable, FaultPlace, PointTable
 from ..designs.family import DENSE_STATES, at_point
 from ..designs.short_designs import LATENCY_S, ShortDesign, short_designs
 from ..designs.swing_sensitivity import STEP_S, first_swing

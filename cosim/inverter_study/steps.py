@@ -23,8 +23,8 @@ from interarea.models.case.variants import operating_variant
 from interarea.models.errors import InterareaError, UserError
 from interarea.models.grid.powerflow import PowerFlow, solve_powerflow
 
-from ..designs.acceptance import FaultPlace
 from ..designs.design_file import load_design
+from ..designs.design_tables import FaultPlace
 from ..designs.fault_runs import FaultRun, FaultRuns, longest_kept
 from ..designs.first_swing import after_clearing
 from ..errors import machine_error

@@ -11,8 +11,8 @@ from interarea.design.controllers.controller import Controller
 from interarea.design.robust.signal_worth import own_signals
 from interarea.models.case.case import Case
 
-from ..designs.acceptance import FaultPlace
 from ..designs.design_file import DesignTable
+from ..designs.design_tables import FaultPlace
 from ..errors import ScenarioError
 from ..scenario.signal_faults import SWAP
 

@@ -21,7 +21,7 @@ from interarea.models.blocks.detector import REASONS
 from interarea.models.case.case import Case
 from interarea.models.case.variants import operating_variant
 
-from ..designs.acceptance import FaultPlace
+from ..designs.design_tables import FaultPlace
 from ..designs.family import FamilyPlant
 from ..designs.fault_runs import TOGETHER, FaultRuns, Outcome
 from ..results.verdict import LOST, SETTLED, STABLE

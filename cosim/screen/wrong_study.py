@@ -17,7 +17,7 @@ from interarea.models.case.case import Case
 from interarea.models.files import write_rows, write_whole
 from interarea.models.threads import one_thread
 
-from ..designs.acceptance import FaultPlace
+from ..designs.design_tables import FaultPlace
 from ..plots.html import page_environment
 from ..results.verdict import LOST
 from .detector_design import design_detector

@@ -11,8 +11,8 @@ import typer
 from ..terminal import print_table, stage_progress
 
 if TYPE_CHECKING:
-    from interarea.cosim.designs.acceptance import FaultPlace
     from interarea.cosim.designs.design_file import DesignTable
+    from interarea.cosim.designs.design_tables import FaultPlace
     from interarea.cosim.screen.wrong_signals import WrongCertificate
     from interarea.design.controllers.bank import ControllerBank
     from interarea.design.controllers.controller import Controller

@@ -18,8 +18,7 @@ from interarea.cosim.actuator_study.cells import ActuatorCells, Cell
 from interarea.cosim.actuator_study.installed import FULL_AT, SHARE, Installed, installed, ratings
 from interarea.cosim.actuator_study.study import FILES, actuator_rows, study_actuators
 from interarea.cosim.actuator_study.words import conclusion
-from interarea.cosim.designs.acceptance import FaultPlace
-from interarea.cosim.designs.design_tables import PointTable
+from interarea.cosim.designs.design_tables import FaultPlace, PointTable
 from interarea.cosim.designs.family import at_point
 from interarea.cosim.grid_study.choices import Choices
 from interarea.cosim.grid_study.weak_modes import WeakModes, modes_of_grid, weak_modes

@@ -13,7 +13,6 @@ import pytest
 import interarea as ia
 from interarea.cosim.designs.acceptance import (
     Acceptance,
-    AcceptanceTable,
     Setting,
     Trial,
     judge_acceptance,
@@ -23,6 +22,7 @@ from interarea.cosim.designs.acceptance import (
 )
 from interarea.cosim.designs.certificate_words import first_failures, kept_certificate, not_covered
 from interarea.cosim.designs.design_file import design_of, load_design
+from interarea.cosim.designs.design_tables import AcceptanceTable
 from interarea.cosim.designs.fault_loops import LONG_S, LONGEST_S, SLOW, FaultLoops, LoopEnd
 from interarea.cosim.designs.fault_runs import FaultRun, FaultRuns, Outcome
 from interarea.cosim.designs.first_swing import after_clearing
@@ -99,6 +99,43 @@ def test_a_trip_that_parts_the_grid_is_named_and_takes_the_loop_with_the_branch(
     loops = FaultLoops(case, shipped_controller("robust"), cache)
     assert loops.end("8-9 b") == loops.end(None)
     assert loops.unsolved == ["8-9 b"]
+
+
+def test_each_signal_is_wrong_in_turn_in_each_way() -> None:
+    table = AcceptanceTable(fault=({"bus": 8},), wrong=("x-1", "s300"), never_lost=("G2_dw",))  # type: ignore[arg-type]
+    ((_, settings),) = settings_of(table, "base", None, ["G2_dw", "G4_dw"])
+    assert [str(s).removeprefix("base, fault at bus 8, ") for s in settings] == [
+        "100 ms",
+        "G4_dw lost, 100 ms",
+        "G4_dw times -1, 100 ms",
+        "G4_dw 300 ms late, 100 ms",
+    ]
+    assert settings[-1].late(["G2_dw", "G4_dw"]) == {"G2_dw": 0.1, "G4_dw": 0.4}
+    for code in ("L", "N", "x", "s300:G2_dw"):
+        with pytest.raises(ValueError, match=r"wrong|condition"):
+            AcceptanceTable(fault=({"bus": 8},), wrong=(code,))  # type: ignore[arg-type]
+
+
+def test_a_wrong_signal_ends_in_the_loop_of_another_gain_or_latency(cache: Path) -> None:
+    case = load_case("two-area-thesis")
+
+    def loops(gain: float) -> FaultLoops:
+        K = control.ss([], [], [], [[0.01, gain]], inputs=["G2_dw", "G4_dw"], outputs=["G4_vs"])
+        return FaultLoops(case, Controller("k", K), cache)
+
+    wrong = loops(0.02).end("7-8 a", (), 0.05, scale_of={"G4_dw": -1.0})
+    assert wrong.root == pytest.approx(loops(-0.02).end("7-8 a", (), 0.05).root, abs=1e-9)
+    assert abs(wrong.root - loops(0.02).end("7-8 a", (), 0.05).root) > 0.01
+
+
+@pytest.mark.slow
+def test_a_wrong_polarity_after_the_fault_fails_a_loop_that_survives_losses(cache: Path) -> None:
+    few = TABLE.model_copy(update={"ceilings": (), "latency_s": (0.1,)})
+    K = shipped_controller("robust")
+    assert judge_acceptance(K, CASES, few, cache, clearing=False).violations == ()
+    wrong = judge_acceptance(K, CASES, few.model_copy(update={"wrong": ("x-1",)}), cache, clearing=False)
+    assert wrong.cases == 5
+    assert wrong.violations and all("G4_dw times -1" in line for line in wrong.violations)
 
 
 @pytest.mark.slow
@@ -270,6 +307,7 @@ def test_side_by_side_each_fault_runs_as_it_would_alone(cache: Path) -> None:
         (Setting("tie +100", None, fault), False): 8.0,
         (Setting("tie +100", None, fault, ("G2_dw",), 0.1), True): 8.0,
         (Setting("tie +100", None, fault, (), 0.05), True): 6.0,
+        (Setting("tie +100", None, fault, (), 0.1, wrong=("s300", "G2_dw")), True): 6.0,
     }
     with Trial(case, _bare(), TABLE, cache) as trial:
         together = trial.angles(tries)
@@ -279,6 +317,9 @@ def test_side_by_side_each_fault_runs_as_it_would_alone(cache: Path) -> None:
         lost = dict.fromkeys(setting.lost, 1.5)
         run = FaultRun(events, 10.0, _bare() if controlled else None, setting.latency_s, lost)
         document = run.document()
+        if setting.wrong:
+            late = {"kind": "time_error", "offset_s": 0.3, "start_s": 1.5}
+            document["channels"]["from_G2_dw"]["signal_faults"] = [late]
         system = system_of(
             load_scenario(document),
             case=case,

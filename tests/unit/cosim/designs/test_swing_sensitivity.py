@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from interarea.cosim.designs.acceptance import AcceptanceTable
+from interarea.cosim.designs.design_tables import AcceptanceTable
 from interarea.cosim.designs.fault_runs import FaultRun, FaultRuns
 from interarea.cosim.designs.first_swing import after_clearing
 from interarea.cosim.designs.swing_sensitivity import (

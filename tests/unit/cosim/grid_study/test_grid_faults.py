@@ -8,8 +8,9 @@ from typing import Any
 
 import pytest
 
-from interarea.cosim.designs.acceptance import Acceptance, AcceptanceTable, ClearingRow
+from interarea.cosim.designs.acceptance import Acceptance, ClearingRow
 from interarea.cosim.designs.design_file import load_design
+from interarea.cosim.designs.design_tables import AcceptanceTable
 from interarea.cosim.grid_study import faults
 from interarea.cosim.grid_study.clock import Clock
 from interarea.design.controllers.bundled import shipped_controller

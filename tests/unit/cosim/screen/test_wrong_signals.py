@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from interarea.cli.certificates.wrong_signals import check_wrong_options
-from interarea.cosim.designs.acceptance import FaultPlace
 from interarea.cosim.designs.design_file import load_design
+from interarea.cosim.designs.design_tables import FaultPlace
 from interarea.cosim.errors import ScenarioError
 from interarea.cosim.results.verdict import GROWING, LOST, SETTLED, STANDING
 from interarea.cosim.scenario.scenario import load_scenario
