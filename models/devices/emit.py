@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import functools
+import itertools
+import operator
 import re
 import zlib
 from collections.abc import Iterable, Iterator
@@ -13,6 +15,7 @@ from .language.device import KINDS
 from .language.element import Condition, Element, resolved
 from .language.elements import Integrator, Lag, Pi, Plain
 from .language.expression import ONE, ZERO, Node
+from .language.need import Need, needs_of
 from .language.structure import Model, Order
 
 _TEXT = re.compile(r"[^A-Za-z0-9 ,.:;()=+-]")
@@ -167,12 +170,23 @@ class Writer(ExpressionWriter):
         rows = [f"        const num s_{name} = OF(in->{name}, m);" for name in inputs]
         if "pref" in device.references:
             rows.append(f"        const num s_pref = NUM({self.row('pref')} + OF(in->pref_step, m));")
-        for _, state in self.model.states:
-            value = f"AT(x, at_{state.name} + k)"
-            if state.present is not True:
-                value = f"{self.condition(state.present)} ? {value} : NUM(0.0)"
-            rows.append(f"        const num x_{state.name} = {value};")
-        return rows
+        states = (
+            (self.condition(state.present), (f"x_{state.name}", f"AT(x, at_{state.name} + k)", ""))
+            for _, state in self.model.states
+        )
+        return rows + ["        " + row for row in self.where_needed(states)]
+
+    def where_needed(self, named: Iterable[tuple[str, tuple[str, str, str]]]) -> Iterator[str]:
+        """Variables with their values, those next to each other under one condition together; 0 elsewhere."""
+        for condition, group in itertools.groupby(named, key=operator.itemgetter(0)):
+            variables = [variable for _, variable in group]
+            if condition == "1":
+                yield from (f"const num {name} = {value};{comment}" for name, value, comment in variables)
+            elif condition != "0":
+                yield from (f"num {name} = NUM(0.0);" for name, _, _ in variables)
+                yield f"if ({condition}) {{"
+                yield from (f"    {name} = {value};{comment}" for name, value, comment in variables)
+                yield "}"
 
     def prepare(self) -> list[str]:
         """The rows computed once."""
@@ -212,14 +226,30 @@ class Writer(ExpressionWriter):
             return [f"{pad}TO(in->{output}, m, NUM(NAN));"]
         self.on = self.model.on(decided)
         self.decisions = 0  # of two orders only one is gone through
-        rows: list[str] = []
-        for name in order.lines:
-            rows += self.output_of(self.model.elements[name])
+        needs = needs_of(self.model, order.lines, self.on)
+        rows = list(
+            self.where_needed(
+                (self.needed(needs[name]), variable)
+                for name in order.lines
+                for variable in self.output_of(self.model.elements[name])
+            )
+        )
         rows += [f"TO(in->{output}, m, s_{output});", *(f"(void)s_{name};" for name in also)]
-        for element in self.model.elements.values():
-            rows += self.rates_of(element)
+        rates = (rate for element in self.model.elements.values() for rate in self.rates_of(element))
+        for condition, group in itertools.groupby(rates, key=operator.itemgetter(0)):
+            inner = [row for _, row in group]
+            rows += inner if condition == "1" else [f"if ({condition}) {{", *("    " + r for r in inner), "}"]
         self.most = max(self.most, self.decisions)
         return [pad + row for row in rows]
+
+    def needed(self, need: Need) -> str:
+        """C of where a line is needed."""
+        if need.always:
+            return "1"
+        ones, zeros = (f"{hex(bits)}u" for bits in (need.ones, need.zeros))
+        tests = [f"(has & {ones})"] if need.ones else []
+        tests += [f"(has & {zeros}) != {zeros}"] if need.zeros else []
+        return " || ".join(tests) or "0"
 
     def condition(self, condition: Condition) -> str:
         """C of a condition."""
@@ -232,13 +262,13 @@ class Writer(ExpressionWriter):
             return yes if decided else no
         return f"{self.bit(present)} ? {yes} : {no}"
 
-    def output_of(self, e: Element) -> Iterator[str]:
-        """The line of a signal."""
+    def output_of(self, e: Element) -> Iterator[tuple[str, str, str]]:
+        """The variables of a signal, their values and a comment."""
         name = e.line.name
         comment = _TEXT.sub(" ", e.line.comment).strip()
-        end = f";  /* {comment} */" if comment else ";"
+        comment = f"  /* {comment} */" if comment else ""
         if isinstance(e, Plain):
-            yield f"const num s_{name} = {self.num(resolved(self.device, e.u, self.on))}{end}"
+            yield f"s_{name}", self.num(resolved(self.device, e.u, self.on)), comment
             return
         value = getattr(self, f"{e.line.element}_output")(e)
         if e.is_limited:
@@ -246,30 +276,30 @@ class Writer(ExpressionWriter):
                 self.num(Node("number", value=bare) if limit is None else limit)
                 for limit, bare in zip(e.limits, (-1e30, 1e30), strict=True)
             )
-            yield f"const num low_{name} = {low};"
+            yield f"low_{name}", low, ""
             fixed = all(limit is None or self.device.constant(limit) for limit in e.limits)
-            yield f"const num high_{name} = {high if fixed else f'element_max({high}, low_{name})'};"
+            yield f"high_{name}", high if fixed else f"element_max({high}, low_{name})", ""
         if isinstance(e, Pi):
-            yield f"const num whole_{name} = {value};"
+            yield f"whole_{name}", value, ""
             value = f"whole_{name}"
         if e.is_limited:
             dynamic = isinstance(e, Lag | Integrator)
             self.first[name] = self.allot(4 if dynamic or isinstance(e, Pi) else 2)
             call = f"limiter_{'state' if dynamic else 'clamp'}({self.bit_of(self.first[name])}, "
             value = f"{call}{value}, low_{name}, high_{name})"
-        yield f"const num s_{name} = {value}{end}"
+        yield f"s_{name}", value, comment
 
-    def rates_of(self, e: Element) -> Iterator[str]:
-        """The rates of a line's states."""
+    def rates_of(self, e: Element) -> Iterator[tuple[str, str]]:
+        """The rates of a line's states, and the conditions under which these are there."""
         for state in e.states():
             if self.on(state.present) is False:
                 continue
-            guard = "" if self.on(state.present) else f"if {self.bit(state.present)} "  # type: ignore[arg-type]
+            guard = "1" if self.on(state.present) else self.condition(state.present)
             value = getattr(self, f"{e.line.element}_rate")(e, state.name)
-            yield f"{guard}PUT(dx, at_{state.name} + k, {value});"
+            yield guard, f"PUT(dx, at_{state.name} + k, {value});"
             if e.is_limited and isinstance(e, Lag | Integrator):
                 arguments = f"{self.bit_of(self.first[e.line.name])}, g, at_{state.name} + k"
-                yield f"{guard}LIMITER_ONTO({arguments}, low_{e.line.name}, high_{e.line.name});"
+                yield guard, f"LIMITER_ONTO({arguments}, low_{e.line.name}, high_{e.line.name});"
 
     # ------------------------------------------------------------ elements
 
