@@ -234,7 +234,7 @@ def roundings(provided: Any, used: Any, where: str = "") -> list[str]:
             (f"{where} {k}", a, b) for k, (a, b) in enumerate(zip(provided, used, strict=False), start=1)
         ]
     elif isinstance(provided, float) and isinstance(used, float) and moved(provided, used):
-        return [f"{where} = {provided!r} s is taken as {used!r} s, a tick of the clock"]
+        return [f"{where} = {provided!r} s is rounded to {used!r} s, a tick of the clock"]
     else:
         return []
     return [line for name, a, b in pairs for line in roundings(a, b, name)]

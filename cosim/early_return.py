@@ -74,7 +74,7 @@ def go_on(fmu: Any, order: int, time_s: float, length_s: float) -> None:
             if order:
                 fmu.du[3 * i : 3 * i + 3] = list(d[1:])
     raise StepError(
-        f"keeps returning discard and stays at t = {now:.9g} s",
+        f"returns discard repeatedly and stays at t = {now:.9g} s",
         instance=fmu.name,
         call="fmi2DoStep",
         time_s=now,
@@ -98,12 +98,12 @@ def _offered(
         return bool(fmu.try_step(now, part))
     except StepError as refused:
         raise StepError(
-            f"returned discard, and {refused.call} fails when it is to go on from t = {now:.9g} s",
+            f"returned discard, and {refused.call} fails when it is to continue from t = {now:.9g} s",
             instance=fmu.name,
             call="fmi2DoStep",
             time_s=start_s,
             last_log=message,
-            advice='early = "roll back" puts it back first' if fmu.description.saves_state else "",
+            advice='early = "roll back" restores the state first' if fmu.description.saves_state else "",
         ) from refused
 
 
@@ -119,7 +119,7 @@ def reached_s(fmu: Any, time_s: float, end_s: float) -> float:
         raise _failed(fmu, time_s, f"asks for the simulation to end at t = {at or time_s:.9g} s")
     last = fmu.status_of("fmi2GetRealStatus", _LAST_SUCCESSFUL_TIME)
     if last is None:
-        raise _failed(fmu, time_s, "returned discard and does not say how far it came")
+        raise _failed(fmu, time_s, "returned discard and does not report the time it reached")
     slack = 1e-9 * max(1.0, abs(time_s))
     if not time_s - slack <= last <= end_s + slack:
         raise _failed(

@@ -25,7 +25,7 @@ def read_toml(path: Path, wanted: str, error: type[Exception]) -> dict[str, Any]
         raise error(str(fault)) from None
     if content.startswith(b"PK\x03\x04"):
         raise error(
-            f"{path}: is no TOML but an archive, as an FMU or SSP is (`interarea check`), "
+            f"{path}: is not TOML but an archive, such as an FMU or SSP (`interarea check`), "
             f"wanted: a {wanted} file"
         )
     try:

@@ -72,8 +72,8 @@ def block_of_members(loop: Members) -> Block:
     foreign = [m.name for m in loop.all if m.block is None]
     if foreign:
         raise ScenarioError(
-            f"{scenario.name}: {', '.join(foreign)} are FMUs of others, which no block can hold; "
-            "write an SSP, or join the FMUs with a tool for containers"
+            f"{scenario.name}: {', '.join(foreign)} are third-party FMUs, which one block cannot "
+            "contain; write an SSP, or use a tool for FMU containers"
         )
     members = [(m, m.baked(step_s=loop.step_s)) for m in loop.all]
     provenance = {f"{m.name}: {k}": v for m, block in members for k, v in block.provenance.items()}
@@ -113,8 +113,8 @@ def chain_of(
     strange += [name for name, block in parts if block.kind not in order]
     if strange or not parts:
         raise ScenarioError(
-            f"{scenario.name}: a chain is made of PMUs, channels and a controller, here are "
-            f"{', '.join(strange) or 'none'}"
+            f"{scenario.name}: a chain consists of PMUs, channels and a controller, "
+            f"got {', '.join(strange) or 'none'}"
         )
     members = dict(sorted(parts, key=lambda part: order[part[1].kind]))
     inside = [c for c in loop.connections if all(end.partition(".")[0] in members for end in c)]

@@ -87,7 +87,8 @@ def members_of(
     system = system_of(scenario, cache=cache, controller=controller, case=case, fmus=fmus).warned()
     if system.others:
         raise ScenarioError(
-            f"{scenario.name}: {', '.join(system.others)} run as DLLs, which an archive of FMUs cannot hold"
+            f"{scenario.name}: {', '.join(system.others)} run as DLLs, which an archive of FMUs cannot "
+            "contain"
         )
     members = tuple(
         Member(i.name, i.file, None if i.block is None else i.block(), i.start)

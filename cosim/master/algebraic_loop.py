@@ -128,12 +128,12 @@ def _residual(
 def not_settled(group: LoopSet, error: float, tolerance: float, step: Step) -> StepError:
     """Return the error of a loop whose last relative change `error` exceeds `tolerance`."""
     return StepError(
-        f"the loop does not settle in {_MAX_SWEEPS} sweeps: relative change {error:.3g}, "
+        f"the loop does not converge in {_MAX_SWEEPS} sweeps: relative change {error:.3g}, "
         f"{tolerance:g} is allowed",
         instance=" -> ".join(group.members),
         call="iterating the step",
         time_s=step.start_s,
-        advice="take a shorter step_s or a larger tolerance",
+        advice="use a shorter step_s or a larger tolerance",
     )
 
 

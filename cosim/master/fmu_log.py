@@ -81,7 +81,7 @@ class FmuLog(Log):
         """Return a text line for each message: instance, time, status, message."""
         text = [f"{self.name}{_when('', t)}: {_status(s)}: {message}" for t, s, message in self.lines]
         if self.beyond:
-            text.append(f"{self.name}: {self.beyond} further messages were not kept, allowed: {MOST_LINES}")
+            text.append(f"{self.name}: {self.beyond} further messages were discarded, allowed: {MOST_LINES}")
         return text
 
     def _keep(self, line: Line) -> None:

@@ -91,7 +91,8 @@ def end_of(text: str, instances: Iterable[str]) -> End:
     if not fitting:
         head = text.split(".", 1)[0]
         raise GraphError(
-            f"{text!r} is no connection end 'instance.variable': no instance {head!r}; {nearest(head, names)}"
+            f"{text!r} is not a connection end 'instance.variable': no instance {head!r}; "
+            f"{nearest(head, names)}"
         )
     instance = max(fitting, key=len)
     return End(instance, text[len(instance) + 1 :])

@@ -302,7 +302,9 @@ def participant_of(
     """
     once, guid = file.model.flag(file.interface, "canBeInstantiatedOnlyOncePerProcess"), file.model.guid
     if once and not isolate and (other := _single.get(guid)) is not None and not other.closed:
-        _log.info("%s: %s allows one instance a process: it gets one of its own", name, file.path.name)
+        _log.info(
+            "%s: %s allows one instance per process: it runs in a separate process", name, file.path.name
+        )
         isolate = True
     if isolate:
         return WorkerParticipant(

@@ -273,7 +273,9 @@ class Master:
             self.start()
         for n, p in self.participants.items():
             if not p.description.saves_state:
-                raise GraphError(f"{n} cannot save its state (canGetAndSetFMUstate): no fork of this run")
+                raise GraphError(
+                    f"{n} cannot save its state (canGetAndSetFMUstate): this run cannot be forked"
+                )
         states = {n: p.save() for n, p in self.participants.items()}
         return Snapshot(self._index, states, tuple(s.copy() for s in self.signals), self._records.count)
 

@@ -47,7 +47,7 @@ def latency_ticks(latency_s: Mapping[str, float], known: Collection[str]) -> dic
     """Return latencies of instances in ticks. Raises GraphError for one that is not `known`."""
     for name in latency_s:
         if name not in known:
-            raise GraphError(f"latency_s names {name!r}, which is no instance")
+            raise GraphError(f"latency_s names {name!r}, which is not an instance")
     return {n: to_ticks(v, f"latency of {n}") for n, v in latency_s.items()}
 
 
@@ -65,13 +65,13 @@ def clock_of(
 ) -> Clock:
     """Return the clock of a run: event times, each again when it comes out of a channel, further points.
 
-    points : ticks; left out when an FMU takes steps of one length only.
+    points : ticks; left out when an FMU allows steps of one length only.
     at_rest : nothing moves at the start. Otherwise the output of a channel begins to move with a slope jump a
         latency after the start, as the signal before the start is taken to have been what it is there.
 
     Raises
     ------
-    GraphError : an FMU that takes steps of one length only, with a mark or the end off the grid.
+    GraphError : an FMU that allows steps of one length only, with a mark or the end off the grid.
     ScenarioError : see `Clock.of_seconds`.
     """
     plain = Clock.of_seconds(stop_s, step_s, start_s=start_s, event_times_s=event_times_s)
@@ -108,7 +108,7 @@ def _refuse_off_grid(clock: Clock, rigid: str, step_s: float) -> None:
         off = (event - clock.start) % clock.step
         if off:
             raise GraphError(
-                f"{rigid} takes steps of one length only (canHandleVariableCommunicationStepSize "
+                f"{rigid} allows steps of one length only (canHandleVariableCommunicationStepSize "
                 f"= false), but t = {seconds(event)} s is no multiple of step_s = {step_s:g}; "
                 f"use {seconds(event - off)} or {seconds(event - off + clock.step)}"
             )

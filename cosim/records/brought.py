@@ -101,7 +101,7 @@ def brought(
     """
     if record.values.shape == other.values.shape and np.array_equal(record.values, other.values):
         raise RecordError(
-            f"{record.source} and {other.source} hold the same numbers, wanted: one record with the "
+            f"{record.source} and {other.source} contain the same data, wanted: one record with the "
             "controller and one without it"
         )
     beside = meter(other, band_hz=band_hz, quantity=quantity, channels=channels, modes=modes)
@@ -109,8 +109,8 @@ def brought(
     modal = [s for s in beside.swings if s.kind == MODAL and s.estimates]
     if not modal:
         raise RecordError(
-            f"{other.source}: no mode stands out in the record without the controller, wanted: one whose "
-            "damping is compared; a longer record, or another --band"
+            f"{other.source}: no mode identified in the record without the controller; "
+            "use a longer record, or another --band"
         )
     if metered.kind == beside.kind == "ambient":
         rows = _ambient(record, other, beside, modal, band_hz, channels)
@@ -131,8 +131,8 @@ def _new(metered: Meter, rows: Sequence[tuple[Swing, Estimate, Estimate]]) -> tu
     """Return a sentence on each mode of a record that is none of the compared ones."""
     known = [f for s, _, after in rows for f in (s.frequency_hz, after.frequency_hz)]
     return tuple(
-        f"{s.frequency_hz:.3g} Hz, damping ratio {s.estimates[0].damping_ratio:.3f}: stands out with the "
-        "controller alone"
+        f"{s.frequency_hz:.3g} Hz, damping ratio {s.estimates[0].damping_ratio:.3f}: "
+        "identified only with the controller"
         for s in metered.swings
         if s.estimates and all(abs(s.frequency_hz - f) > _NEW * f for f in known)
     )
@@ -225,13 +225,13 @@ def _difference(
     else:
         assert wanted_s is not None
         more = (
-            f"too short by {_words(wanted_s - length_s)} for a difference of that size"
+            f"a difference of that size needs {_words(wanted_s - length_s)} more"
             if wanted_s < _DAY_S
-            else "a day would not show a difference of that size"
+            else "a difference of that size needs records of more than a day"
         )
         text = (
-            f"no difference in the damping of {name} can be shown: {100 * gained:+.1f} points, {spread}; "
-            f"records of {_words(length_s)} show {100 * size:.1f} points and more; {more}"
+            f"no significant difference in the damping of {name}: {100 * gained:+.1f} points, {spread}; "
+            f"records of {_words(length_s)} resolve {100 * size:.1f} points and more; {more}"
         )
     return Difference(
         swing.frequency_hz, swing.mode, before, after, gained, (gained - half, gained + half), shown,

@@ -104,7 +104,7 @@ def located(
         source, why = "", f"the ends of {apart[0][0]} and {apart[0][1]} disagree by {apart[0][2]:.0%}; {why}"
     without_q = [t.name for t in terminals if t.Q is None]
     if without_q:
-        notes.append(f"{', '.join(without_q[:4])}: no reactive power, its part is left out")
+        notes.append(f"{', '.join(without_q[:4])}: no reactive power, its term is omitted")
     order = sorted(flows, key=lambda flow: -abs(flow.slope))
     unit = f"{terminals[0].unit} rad/s"
     return Source(record.source, f, record.length_s, unit, tuple(order), source, why, lines, tuple(notes))
@@ -132,8 +132,9 @@ def strongest_line(record: Record, signals: Sequence[Array], band_hz: tuple[floa
     if not over.max() >= _STANDS_OUT:
         band = f"{band_hz[0]:g} to {band_hz[1]:g} Hz"
         raise RecordError(
-            f"{record.source}: no oscillation stands out from {band}, the largest is {over.max():.2g} times "
-            f"what is around it, wanted: {_STANDS_OUT:g} times, or --frequency"
+            f"{record.source}: no oscillation exceeds the background at {band}: largest ratio "
+            f"{over.max():.2g}, "
+            f"wanted: {_STANDS_OUT:g}, or --frequency"
         )
     size = np.where(over >= _STANDS_OUT, size, 0.0)
     return float(f[np.argmax(size)])
@@ -178,15 +179,18 @@ def _verdict(flows: Sequence[Flow]) -> tuple[str, str]:
     flows = [flow for flow in flows if flow.machine] or flows
     into = sorted((flow for flow in flows if flow.slope < 0.0), key=lambda flow: flow.slope)
     if not into:
-        return "", "energy comes in at no terminal: the source is outside what is observed"
+        return "", "no terminal supplies energy: the source is not at an observed terminal"
     first = into[0]
     if (other := _otherwise(flows, first)) is not None:
-        return "", f"over the record it is {first.terminal}, in one of its halves {other}: no steady source"
+        return (
+            "",
+            f"the whole record indicates {first.terminal}, one of its halves {other}: no steady source",
+        )
     if len(into) > 1 and not first.slope <= _CLEAR * into[1].slope:
         both = f"{first.terminal} ({first.slope:.3g}) and {into[1].terminal} ({into[1].slope:.3g})"
-        return "", f"{both} are too similar: two sources, or one outside what is observed"
+        return "", f"{both} are too similar: two sources, or one that is not observed"
     rest = f"{first.slope / into[1].slope:.3g} times the next" if len(into) > 1 else "the only one"
-    return first.terminal, f"most energy comes in through {first.terminal}, {rest}"
+    return first.terminal, f"most energy is supplied through {first.terminal}, {rest}"
 
 
 def _otherwise(flows: Sequence[Flow], first: Flow) -> str | None:

@@ -195,7 +195,7 @@ def fitted(
     covariance = np.zeros((0, 0))
     notes = []
     if not judged.all():
-        notes.append(f"{np.sum(np.logical_not(judged))} frames beside jumps of the voltage are not judged")
+        notes.append(f"{np.sum(np.logical_not(judged))} frames at jumps of the voltage are not evaluated")
     if names:
         slopes = problem.slopes(np.ones(len(names)), other, y)
         visible = _shown(slopes, names, kept_as_is)
@@ -224,11 +224,11 @@ def _starts(case: Case, machine: str, names: Sequence[str]) -> Array:
     starts = []
     for name in names:
         if name in ("P_mw", "Q_mvar", "V_pu", "bus", "base_mva", "area", "angle_deg"):
-            raise RecordError(f"{name}: not to be fitted, allowed: H, Xd, exciter.KA, ... of {machine}")
+            raise RecordError(f"{name}: cannot be fitted, allowed: H, Xd, exciter.KA, ... of {machine}")
         value = parameter_value(case, f"machines.{machine}.{name}")
         if value == 0.0:
             raise RecordError(
-                f"{machine}.{name} is 0 in {case.name}: what is absent is not fitted, wanted: a start value"
+                f"{machine}.{name} is 0 in {case.name}, so the function is absent, wanted: a start value"
             )
         starts.append(value)
     return np.array(starts)
@@ -272,7 +272,9 @@ def _shown(slopes: Array, names: Sequence[str], kept_as_is: dict[str, str]) -> l
         others = [names[places[k]] for k in np.flatnonzero(np.abs(direction) > _PARTNER) if k != worst]
         spread = f"{1.0 / sigma[-1]:.0%} of it" if sigma[-1] > 1e-3 else "any share of it"
         together = f" together with {', '.join(others)}" if others else ""
-        kept_as_is[names[places[worst]]] = f"moves nothing by {spread}{together} that the record shows; kept"
+        kept_as_is[names[places[worst]]] = (
+            f"a change by {spread}{together} has no visible effect in the record; kept"
+        )
         del places[worst]
     return places
 
@@ -306,7 +308,7 @@ def _minimised(
     else:
         raise RecordError(
             f"{problem.bench.machine}: no fit within {_MOST_STEPS} steps from the values of the case, "
-            "wanted: fewer parameters, or start values nearer to the machine's"
+            "wanted: fewer parameters, or better start values"
         )
     slopes = problem.slopes(u, other, y)
     rest = problem.rest(y).reshape(-1, 2)

@@ -125,8 +125,8 @@ def _of_short(swings: Swings, source: str, band_hz: tuple[float, float]) -> tupl
     lines = [s for s in _ambient(swings, band_hz) if s.kind != MODAL]
     if not lines:
         raise RecordError(
-            f"{source}: {swings.length_s:.4g} s without a disturbance that rings down (misfit {error:.0%}) "
-            "and without a forced line are too short for a damping ratio, wanted: "
+            f"{source}: {swings.length_s:.4g} s without a ring-down after a disturbance (misfit "
+            f"{error:.0%}) and without a forced line are too short for a damping ratio, wanted: "
             f"{LEAST_AMBIENT_S:g} s of ambient motion, or a ring-down"
         )
     return lines, "ambient"
@@ -177,7 +177,7 @@ def _ring_down(
         amplitudes[moving] = mode.amplitudes
         shape = _shape(swings, amplitudes)
         if _stands(mode.pole):
-            why = f"damped by less than {LEAST_DAMPING:g}: a mode that hardly decays, or a forced line"
+            why = f"damped by less than {LEAST_DAMPING:g}: a mode with almost no decay, or a forced line"
             return Swing(mode.frequency_hz, UNDECIDED, size, (), shape, why)
         why = f"rings down; misfit {fit.error:.1%} of the largest value"
         return Swing(mode.frequency_hz, MODAL, size, (_with_spread(mode.pole, spread[k]),), shape, why)
@@ -270,10 +270,10 @@ def _of_mode(swings: Swings, mode: AmbientMode, forced_hz: list[float]) -> Swing
     size = float(rms * np.max(np.abs(amplitudes)) / np.linalg.norm(mode.shape))
     why = f"{mode.share:.0%} of the motion, order {mode.order}"
     if not mode.estimates[0].damping_ratio >= LEAST_DAMPING:
-        why += f"; damped by less than {LEAST_DAMPING:g}: it may be a forced line that wanes or grows"
+        why += f"; damped by less than {LEAST_DAMPING:g}: it may be a forced line of varying amplitude"
         return Swing(f, UNDECIDED, size, (), _shape(swings, amplitudes), why)
     if any(abs(f - forced) < 0.1 * f for forced in forced_hz):
-        why += "; near a forced line, which was taken out first: its interval may be too narrow"
+        why += "; near a forced line, which was removed first: its interval may be too narrow"
     return Swing(f, MODAL, size, mode.estimates, _shape(swings, amplitudes), why)
 
 

@@ -135,7 +135,7 @@ def source_by_model(
     keys, values, notes = _channels(record, case, plant)
     if len(keys) < _LEAST_CHANNELS:
         raise RecordError(
-            f"{record.source}: {len(keys)} channels are of places that {case.name} has, wanted: "
+            f"{record.source}: {len(keys)} channels are at places of {case.name}, wanted: "
             f"{_LEAST_CHANNELS} at least, named bus7, branch[7-8] or as a machine of the case"
         )
     if frequency_hz is None:
@@ -384,7 +384,8 @@ def _verdict(
         return (
             None,
             (),
-            f"no place of the model explains it: all but {best.unexplained:.1%} at best, by {best.text}, "
+            f"no place of the model explains it: unexplained share {best.unexplained:.1%} at best, by "
+            f"{best.text}, "
             f"allowed: {allowed:.1%}; the source is outside the model, or this is not its operating point",
         )
     near = max(best.unexplained, _EXACT) * CLEAR
@@ -395,11 +396,11 @@ def _verdict(
         return (
             None,
             (),
-            f"{best.text} and {elsewhere[0].text} explain it nearly as well: {best.unexplained:.2%} and "
-            f"{elsewhere[0].unexplained:.2%} are left",
+            f"{best.text} and {elsewhere[0].text} explain it almost equally: {best.unexplained:.2%} and "
+            f"{elsewhere[0].unexplained:.2%} are unexplained",
         )
-    what, leave = ("one source", "leaves") if len(best.places) == 1 else ("two sources", "leave")
+    what = "one source" if len(best.places) == 1 else "two sources"
     units = f" (or {', '.join(c.text for c in close)}, at the same bus)" if close else ""
     rest = [c for c in ranked[1:] if c not in close]
-    after = f", the next, {rest[0].text}, {rest[0].unexplained:.1%}" if rest else ""
-    return best, tuple(close), f"{what}: {best.text}{units} {leave} {best.unexplained:.2%} of it{after}"
+    after = f"; next: {rest[0].text}, {rest[0].unexplained:.1%}" if rest else ""
+    return best, tuple(close), f"{what}: {best.text}{units}; unexplained {best.unexplained:.2%}{after}"

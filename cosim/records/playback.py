@@ -46,7 +46,7 @@ class Playback:
         k = names.index(channel)
         values = np.array(record.values[:, k])
         if not np.all(np.isfinite(values)):
-            raise RecordError(f"{record.source}: {channel} has values that are no numbers, allowed: none")
+            raise RecordError(f"{record.source}: {channel} has values that are not numbers, allowed: none")
         if record.channels[k].quantity == "frequency":
             values = (values - nominal_hz) / nominal_hz
         self.name, self.start_s = name, start_s

@@ -124,8 +124,8 @@ class Record:
         inside = (self.time_s >= start_s - 1e-9) & (self.time_s <= end_s + 1e-9)
         if not np.sum(inside) >= 2:
             raise RecordError(
-                f"{self.source}: nothing from {start_s:g} to {end_s:g} s, "
-                f"allowed: within 0 to {self.length_s:g} s"
+                f"{self.source}: no data from {start_s:g} to {end_s:g} s, allowed: within 0 to "
+                f"{self.length_s:g} s"
             )
         time = self.time_s[inside]
         return replace(self, time_s=time - time[0], values=self.values[inside].copy())

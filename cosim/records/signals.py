@@ -80,7 +80,7 @@ def swings_of(
         values, unit = np.gradient(values, record.step_s, axis=0) / (2.0 * np.pi), "Hz"
     if values.shape[1] >= 3 and what in ("speed", "frequency", *_ANGLES):
         values = values - values.mean(axis=1, keepdims=True)
-        notes.append("the mean of all places is taken out")
+        notes.append("the mean of all places is removed")
     step_s = record.step_s
     if step_s * _RATE * high < 0.75:
         values, step_s, _ = resampled(values, step_s, _RATE * high, record.source)
@@ -88,7 +88,7 @@ def swings_of(
     inside = _passed(values, step_s, band_hz)
     size = inside.std(axis=0)
     if not size.max() > 0.0:
-        raise RecordError(f"{record.source}: no {what} swings from {low:g} to {high:g} Hz")
+        raise RecordError(f"{record.source}: no {what} varies from {low:g} to {high:g} Hz")
     scale = 1.0 / np.maximum(size, 1e-6 * size.max())
     _, sigma, right = np.linalg.svd(inside * scale, full_matrices=False)
     share = sigma**2 / np.sum(sigma**2)
@@ -109,7 +109,7 @@ def _require_shown(record: Record, low: float, high: float) -> None:
         raise RecordError(f"band {low:g}:{high:g} Hz, allowed: 0 < low < high")
     if not 1.0 / record.step_s >= 2.0 * high:
         raise RecordError(
-            f"{record.source}: {1.0 / record.step_s:.4g} samples a second show nothing up to {high:g} Hz, "
+            f"{record.source}: {1.0 / record.step_s:.4g} samples a second are too few for {high:g} Hz, "
             f"wanted: {2.0 * high:g} at least, or a band that ends below {0.5 / record.step_s:.4g} Hz"
         )
     if not record.length_s >= 0.99 * _LEAST_PERIODS / low:
@@ -127,12 +127,12 @@ def _chosen(
     what, names, notes = _asked(record, of) if of else _best(record, band_hz, quantity, still)
     moving = [n for n in names if n not in still]
     if not moving:
-        which = f"none of {', '.join(names[:4])} moves" if names else f"no channel of {what} is there"
+        which = f"none of {', '.join(names[:4])} varies" if names else f"no channel of {what} is there"
         raise RecordError(
             f"{record.source}: {which}, wanted: a measured {', '.join(_QUANTITIES[:3])} that moves"
         )
     left = [n for n in names if n in still]
-    return moving, what, [*notes, *([f"{', '.join(left[:6])}: never moves, left out"] if left else [])]
+    return moving, what, [*notes, *([f"{', '.join(left[:6])}: constant, left out"] if left else [])]
 
 
 def _asked(record: Record, of: Sequence[str]) -> tuple[str, list[str], list[str]]:
@@ -156,7 +156,7 @@ def _best(
     fine = [q for q in live if q in _ANGLES or not _coarse(record, set(there[q]) - still, band_hz)]
     what = (fine or live or list(quantities))[0]
     coarse = quantity is None and bool(live) and what != live[0]
-    return what, there[what], [f"{live[0]}: its numbers are too coarse"] if coarse else []
+    return what, there[what], [f"{live[0]}: its resolution is too coarse"] if coarse else []
 
 
 def _coarse(record: Record, names: set[str], band_hz: tuple[float, float]) -> bool:

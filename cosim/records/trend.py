@@ -138,7 +138,7 @@ def trend(
         parts.append(Part(piece.start_s, result))
         _follow(tracks, len(parts) - 1, result.swings)
     if first is None:
-        raise RecordError(parts[0].why if parts else "the file holds no part with samples, wanted: samples")
+        raise RecordError(parts[0].why if parts else "the file has no part with samples, wanted: samples")
     order = sorted(tracks, key=lambda t: -len(t))
     return Trend(
         first.source, start, every_s, first.quantity, first.unit, tuple(parts), tuple(map(Track, order)),
@@ -159,7 +159,7 @@ def _notes(parts: Sequence[Part]) -> tuple[str, ...]:
     own = [[n for n in notes if n not in common] for notes in each]
     if many := sum(map(bool, own)):
         example = next(notes[0] for notes in own if notes)
-        common.append(f"{many} of {len(parts)} parts have notes of their own, the first: {example}")
+        common.append(f"{many} of {len(parts)} parts have separate notes, the first: {example}")
     return tuple(common)
 
 

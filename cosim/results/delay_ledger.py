@@ -164,7 +164,7 @@ def _through_channel(master: Master, c: Connection, known: Delays | None, ahead:
     if known.seed is not None:
         notes.append(known.seed_of(c.target.instance))
     if known.waiting_s:
-        notes.append("arrivals wait for a communication point")
+        notes.append("arrivals are delayed to a communication point")
     return LedgerRow(
         c,
         known.requested_s,
@@ -236,7 +236,7 @@ def explain(master: Master, ledger: DelayLedger) -> str:
         f"step {1e3 * master.step_s:g} ms ({master.step_reason}), {len(master.clock.steps)} steps, "
         f"inputs: {master.plan.inputs}",
         "events at " + (", ".join(f"{m / 1e9:.9g}" for m in master.clock.event_times) or "none") + " s",
-        *([f"packets come out at {n} more points"] if (n := len(master.clock.points)) else []),
+        *([f"packets are released at {n} more points"] if (n := len(master.clock.points)) else []),
         "order of a step: "
         + " | ".join(" <-> ".join(x.members) if x.is_loop else x.members[0] for x in g.groups),
     ]

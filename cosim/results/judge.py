@@ -97,7 +97,7 @@ class Judge:
     def metrics(
         self,
         limit_pu: float | None = None,
-        roots: LoopModes | str = "its linear loop was not looked at",
+        roots: LoopModes | str = "its linear loop was not computed",
     ) -> m.Metrics:
         """Return the metrics of what was taken.
 

@@ -48,10 +48,10 @@ def record_of(scenario: Scenario, case: Case | None) -> dict[str, Any]:
 
 def scenario_text(scenario: Scenario) -> str:
     """Return the resolved scenario as TOML: `interarea run` of it runs the same again, from any folder."""
-    lines = ["# The scenario that was run, with the seeds it drew from; files by their whole paths."]
+    lines = ["# The scenario that was run, with its random seeds; files have full paths."]
     path = scenario.controller_path
     if scenario.controller not in NAMED_CONTROLLERS and (path is None or not path.exists()):
-        lines.append("# The controller was given from Python, as an object: put its file in its place.")
+        lines.append("# The controller was given from Python as an object: replace it by its file.")
     return "\n".join(lines) + "\n" + toml_text(resolved_document(scenario))
 
 

@@ -176,10 +176,10 @@ class Run(Result):
                 raise ValueError(
                     f"mode {mode!r}: the ring-down from {chosen[0]:g} to {chosen[1]:g} s is fitted within "
                     f"{fit.error:.1%} only, wanted {GOOD_FIT:.0%} for a mode to have a name; choose another "
-                    "window, or leave start_s and stop_s out"
+                    "window, or omit start_s and stop_s"
                 )
         if mode not in ratios:
-            raise ValueError(f"mode {mode!r} does not show in this run; {nearest(mode, ratios)}")
+            raise ValueError(f"mode {mode!r} is not identified in this run; {nearest(mode, ratios)}")
         return ratios[mode]
 
     def settling_time_s(self, column: str | None = None, *, band: float = 0.02) -> float | None:

@@ -95,7 +95,7 @@ def _draw_speeds(axis: Axes, curves: Trajectory, machines: Sequence[str]) -> Non
     names, title = list(speeds), None
     if len(names) > _MOST:
         furthest = set(sorted(names, key=lambda n: -float(np.abs(speeds[n]).max()))[:_MOST])
-        names, title = [n for n in names if n in furthest], f"{_MOST} of {len(names)}, the furthest"
+        names, title = [n for n in names if n in furthest], f"{_MOST} of {len(names)}, the largest deviations"
     for k, name in enumerate(names):
         colour, dash = SERIES[k % len(SERIES)], DASHES[(k + k // len(SERIES)) % len(DASHES)]
         axis.plot(curves.time_s, speeds[name], color=colour, linestyle=dash, linewidth=1.0, label=name)

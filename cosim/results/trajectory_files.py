@@ -131,6 +131,7 @@ class TrajectoryFiles:
         except OSError as error:
             reason = str(error) if error.errno is None else os.strerror(error.errno)
             raise DestinationError(
-                f"{file}: {reason}: not written, what was there before stays; make room, or write less "
+                f"{file}: {reason}: not written, the previous file is unchanged; free disk space, or "
+                "write less "
                 "(record, every)"
             ) from error

@@ -201,7 +201,7 @@ class Motion:
             return RULE
         number, first = len(self.unseen), self.unseen[0]
         names = first if number == 1 else f"{first} and {number - 1} more converters"
-        return f"{RULE}; not judged: the angle of {names}, which the plant does not show"
+        return f"{RULE}; not judged: the angle of {names}, which is not an output of the plant"
 
     @property
     def at_rest(self) -> bool:

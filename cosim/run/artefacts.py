@@ -59,7 +59,7 @@ def plant_fmu(
         require_memory(
             build_bytes(case, powers=show is None and shows_powers(case)),
             f"{case.name}: the plant of {len(case.buses)} buses and {len(case.machines)} machines",
-            "free some, take a larger machine or a smaller grid",
+            "free memory, use a larger computer or a smaller grid",
         )
         return plant_block(case, event_slots=event_slots, show=show, more=more)
 
@@ -186,7 +186,7 @@ def linearised(fmu: Path) -> LinearMatrices:
 
 def _require_linear(case: Case) -> None:
     """Refuse a grid in parts, and one with a device at a bus on its limit."""
-    require_one_network(case, "each has a rotation of its own")
+    require_one_network(case, "each has a separate rotation")
     if case.svcs or case.tcscs or case.links:
         from interarea.models.grid.start import require_off_limits
 

@@ -110,13 +110,13 @@ def compare_controllers(
     ScenarioError : all that is wrong with scenario and controllers, a line each; a controller given twice.
     """
     if not controllers:
-        raise ScenarioError("compare: no controller given, allowed: one or more, 'none' too")
+        raise ScenarioError("compare: no controller given, allowed: one or more, also 'none'")
     names = [compared_name(c) for c in controllers]
     twice = sorted({n for n in names if names.count(n) > 1})
     if twice:
         raise ScenarioError(f"compare: {' and '.join(twice)} given twice, allowed: each controller once")
     if not scenario.case:
-        raise ScenarioError(f"{scenario.name}: case is missing; controllers are compared on one")
+        raise ScenarioError(f"{scenario.name}: case is missing; controllers are compared on one case")
     systems: dict[str, System] = {}
     wrong = Collected()
     for name, provided in zip(names, controllers, strict=True):

@@ -94,4 +94,4 @@ def record_of_fmu(path: Path) -> dict[str, Any]:
     try:
         return dict(json.loads(match[1]))
     except (TypeError, ValueError) as error:
-        raise ControllerError(f"controller FMU {path}: its record is no JSON object ({error})") from error
+        raise ControllerError(f"controller FMU {path}: its record is not a JSON object ({error})") from error

@@ -70,7 +70,7 @@ def controller_of(
     path = folder / name
     if path.suffix in DLL_SUFFIXES:
         raise ScenarioError(
-            f"controller = {name!r} is a DLL, its equations are not known; use it in a run or a `System`"
+            f"controller = {name!r} is a DLL, its equations are unknown; use it in a run or a `System`"
         )
     require_controller(name, folder)
     if path.suffix == ".fmu":

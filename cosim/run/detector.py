@@ -46,15 +46,18 @@ def patterns_of(scenario: Scenario) -> Patterns | None:
     where = f"{scenario.name}: detector.file = {table.file!r} was designed for"
     if sorted(names) != sorted(record.signals):
         raise ScenarioError(
-            f"{where} {', '.join(record.signals)}, here travel {', '.join(names)}, allowed: the same signals"
+            f"{where} {', '.join(record.signals)}, here the signals are {', '.join(names)}, allowed: the "
+            "same signals"
         )
     if abs(record.interval_s - paths[0].interval_s) > 1e-9:
         raise ScenarioError(
-            f"{where} packets every {record.interval_s:g} s, here they come every {paths[0].interval_s:g} s"
+            f"{where} packets every {record.interval_s:g} s, here the interval is {paths[0].interval_s:g} s"
         )
     case = Path(scenario.case).stem
     if record.case != case:
-        raise ScenarioError(f"{where} the case {record.case!r}, here it is {case!r}; design one for it")
+        raise ScenarioError(
+            f"{where} the case {record.case!r}, here it is {case!r}; design a detector for it"
+        )
     return record.patterns.of([record.signals.index(name) for name in names])
 
 

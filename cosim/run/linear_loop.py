@@ -96,7 +96,7 @@ def _swings(loop: Loop) -> LoopModes:
     scenario, part = loop.scenario, loop.controller
     start, stop = fit_window(scenario)
     if loop.others:
-        raise NotLinearError(f"{', '.join(loop.others)} may do anything")
+        raise NotLinearError(f"{', '.join(loop.others)} may have any effect")
     _refuse(scenario, start, stop)
     paths = {path.signal: _sent(loop, path, start) for path in scenario.signals}
     buses = {path.signal: path.pmu.bus for path in scenario.signals if path.pmu is not None}
@@ -125,13 +125,13 @@ def _refuse(scenario: Scenario, start: float, stop: float) -> None:
     for event in scenario.event:
         end = getattr(event, "end_s", None)
         if event.kind in _LASTING and event.start_s < stop and (end is None or end > start):
-            raise NotLinearError(f"the grid is not what it was after the {event.kind} at {event.start_s:g} s")
+            raise NotLinearError(f"the grid is changed by the {event.kind} at {event.start_s:g} s")
     for where, faults in signal_faults_of(scenario.channels, scenario.concentrators).items():
         for fault in faults:
             if fault.start_s < stop and fault.until_s > start:
                 raise NotLinearError(f"{where}: the signal is wrong ({fault.kind})")
     if scenario.fmus:
-        raise NotLinearError(f"{', '.join(scenario.fmus)} may do anything")
+        raise NotLinearError(f"{', '.join(scenario.fmus)} may have any effect")
     if scenario.connections:
         raise NotLinearError("connections of its own")
     moved = [name for name in scenario.plant if not name.startswith("solver.")]
@@ -174,7 +174,7 @@ def _controller(loop: Loop, part: Instance, lost: frozenset[str]) -> LinearMatri
     try:
         return matrices_of_parameters(starts, inputs, outputs, loop.case.omega_b)
     except ControllerError as error:
-        raise NotLinearError(f"{part.file.path.name} is no linear controller") from error
+        raise NotLinearError(f"{part.file.path.name} is not a linear controller") from error
 
 
 def _sent(loop: Loop, path: SignalPath, at_s: float) -> DelayedPath:
@@ -184,7 +184,7 @@ def _sent(loop: Loop, path: SignalPath, at_s: float) -> DelayedPath:
         return delayed
     if path.pmu.quantity != "frequency":
         raise NotLinearError(
-            f"{path.source} measures {path.pmu.quantity}: linear loops know its frequency only"
+            f"{path.source} measures {path.pmu.quantity}: linear loops model its frequency only"
         )
     return replace(delayed, measured=path.pmu.filter(loop.case.frequency_hz, path.interval_s, path.source))
 

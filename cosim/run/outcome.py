@@ -32,7 +32,7 @@ def fields_of_result(
     delays |= {name: line.delays(master.clock) for name, line in channels.items()}
     ledger = delay_ledger(master, delays, rounded)
     of_fmus = [line for log in master.fmu_logs if (line := log.warning())]
-    ended = [] if failed is None else [f"the run ended before its time: {failed}"]
+    ended = [] if failed is None else [f"the run ended early: {failed}"]
     return {
         "trajectory": trajectory,
         "ledger": ledger,

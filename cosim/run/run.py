@@ -148,8 +148,8 @@ def _with_warnings(system: System) -> System:
 def _refuse_joint(scenario: Scenario) -> None:
     if scenario.master.joint:
         raise ScenarioError(
-            f"{scenario.name}: master.joint = true asks for one block and no master; run it by "
-            "`interarea run` or cosim.export.joint.run_joint, or take it out"
+            f"{scenario.name}: master.joint = true requests one block without a master; run it by "
+            "`interarea run` or cosim.export.joint.run_joint, or remove the key"
         )
 
 
@@ -241,7 +241,7 @@ def _start_plant(system: System, scenario: Scenario) -> None:
             continue
         names = [v.name for v in variables.values() if v.causality == "parameter"]
         with wrong:
-            _known(name, names, f"{scenario.name}: plant.{name} is no parameter of the plant")
+            _known(name, names, f"{scenario.name}: plant.{name} is not a parameter of the plant")
     wrong.end(ScenarioError)
     system.parts[PLANT] = replace(plant, start=dict(scenario.plant))
 
@@ -306,7 +306,7 @@ def _connect_signals(system: System, scenario: Scenario) -> None:
         witness = scenario.detector is not None and signal not in requested
         if description is not None and not witness and (path.pmu is not None or signal in signals):
             with wrong:
-                _known(signal, requested, f"{where} is no input of controller {title}")
+                _known(signal, requested, f"{where} is not an input of controller {title}")
             system.connections.append((y, f"{CONTROLLER}.{signal}"))
             system.connections += flags(signal, valid, taken, scenario.detector is not None)
     direct = list(_without(requested, _fed(scenario)))
@@ -321,8 +321,9 @@ def _require_outputs(inputs: Iterable[str], signals: Sequence[str], title: str) 
     lost = [name for name in inputs if name not in signals]
     if len(lost) > 1:
         raise ScenarioError(
-            f"controller {title}: inputs {', '.join(lost[:4])}{', ...' if len(lost) > 4 else ''} are no "
-            "outputs of the plant, wanted: a controller of this case (`interarea list` says of which each is)"
+            f"controller {title}: inputs {', '.join(lost[:4])}{', ...' if len(lost) > 4 else ''} are not "
+            "outputs of the plant, wanted: a controller of this case (`interarea list` shows the case "
+            "of each)"
         )
     for name in lost:
         _known(name, signals, f"controller {title}: input {name!r} is no output of the plant")
@@ -351,7 +352,7 @@ def _connect_source(system: System, path: SignalPath, signals: Iterable[str], wh
     """Connect what a path begins with: an output of the plant, or a PMU, which is added."""
     pmu = path.pmu
     if pmu is None:
-        _known(path.signal, signals, f"{where} is no output of the plant")
+        _known(path.signal, signals, f"{where} is not an output of the plant")
         system.connections.append((f"{PLANT}.{path.signal}", path.u))
         return
     system.pmu(path.source, pmu.filter(system.case.frequency_hz, path.interval_s, where))

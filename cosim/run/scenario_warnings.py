@@ -20,7 +20,7 @@ def times_past_the_end(scenario: Scenario) -> list[str]:
     left = scenario.stop_s - first
     lines = [
         f"{name}: a latency of {line.least_latency_s:g} s is not below the {left:g} s left after "
-        f"the first event (at {first:g} s); the controller never hears of it (latencies are in s)"
+        f"the first event (at {first:g} s); no packet about it reaches the controller (latencies are in s)"
         for name, line in scenario.lines.items()
         if scenario.event and not line.least_latency_s < left
     ]
@@ -45,7 +45,7 @@ def made_for_another(controller: Controller | ControllerBank | None, case: Case)
         return []
     return [
         f"controller {controller.name}: designed for the case {named!r}, runs with {case.name!r}; its "
-        "certificate says nothing about this one"
+        "certificate does not cover this case"
     ]
 
 
@@ -70,6 +70,5 @@ def outputs_used(
             f"controller {title}: none of its outputs is an input of the plant or in connections; {hints}"
         )
     return driving, [
-        f"controller {title}: output {name!r} is connected to nothing; {nearest(name, known)}"
-        for name in idle
+        f"controller {title}: output {name!r} is not connected; {nearest(name, known)}" for name in idle
     ]

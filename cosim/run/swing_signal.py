@@ -45,7 +45,7 @@ def _extremes(case: Case, cache: Path) -> tuple[str, str, str]:
     if len(parts) > 1:
         within = [[m.name for m in case.machines if m.bus in part] for part in parts]
         largest = max(within, key=len)
-        reason = f"first and last machine of the largest of {len(parts)} parts that no branch connects"
+        reason = f"first and last machine of the largest of {len(parts)} islands"
         return largest[0], largest[-1], reason
     try:
         modes = _modes(case, cache)
@@ -78,5 +78,5 @@ def _modes(case: Case, cache: Path) -> list[Mode]:
         if any(m.name.startswith("inter-area") for m in swings):
             break
     if not swings:
-        raise ModeError(f"{case.name}: no swing between {_BAND_HZ[0]} and {_BAND_HZ[1]} Hz")
+        raise ModeError(f"{case.name}: no swing mode between {_BAND_HZ[0]} and {_BAND_HZ[1]} Hz")
     return swings

@@ -142,7 +142,9 @@ class System:
         if isinstance(controller, str | Path) and Path(controller).suffix == ".fmu":
             return self.put(Instance(name, self.fmus.open(Path(controller))))
         if not self.plants:
-            raise ScenarioError(f"{name}: add the plant first; its case gives the controller its base speed")
+            raise ScenarioError(
+                f"{name}: add the plant first; its case defines the base speed of the controller"
+            )
         case = next(reversed(self.plants.values()))
         loaded = controller_of(controller, case, self.fmus.cache)
         if loaded is None:
@@ -207,7 +209,7 @@ class System:
 
     def _free(self, name: str) -> None:
         if name in self.parts or name in self.others:
-            raise ScenarioError(f"two instances are named {name!r}; each needs a name of its own")
+            raise ScenarioError(f"two instances are named {name!r}; each needs a unique name")
 
     def channel(self, name: str, line: ChannelLine | None = None, **keys: Any) -> System:
         """Add a channel: input ``u``, outputs ``y``, ``valid``, ``age``; keys as in a scenario file.
@@ -285,7 +287,7 @@ class System:
             plant = next(iter(self.plants))
         if plant not in self.plants:
             if not self.plants:
-                raise ScenarioError("event: there is no plant yet for it to happen to; add the plant first")
+                raise ScenarioError("event: no plant yet; add the plant first")
             raise ScenarioError(f"event: plant = {plant!r}; {nearest(str(plant), self.plants)}")
         where = f"event {1 + sum(len(events) for events in self.events.values())}"
         event, rounded = timed_event(kind, fields, where)

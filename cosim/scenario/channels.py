@@ -39,7 +39,7 @@ class Delays:
         """Return in words which random numbers channel `name` takes, "" where nothing is random."""
         if self.seed is None:
             return ""
-        return f"seed {self.seed}{', made of its name' if self.seed == derived_seed(0, name) else ''}"
+        return f"seed {self.seed}{', derived from its name' if self.seed == derived_seed(0, name) else ''}"
 
 
 def derived_seed(seed: int, name: str) -> int:
@@ -73,7 +73,7 @@ class EmpiricalLatency(Table):
     @classmethod
     def _ascending(cls, value: tuple[float, ...]) -> tuple[float, ...]:
         if list(value) != sorted(value):
-            raise ValueError(f"quantiles_s = {list(value)}, allowed: not descending")
+            raise ValueError(f"quantiles_s = {list(value)}, allowed: not decreasing")
         return value
 
 

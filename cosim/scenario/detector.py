@@ -51,16 +51,16 @@ class DetectorTable(Table):
         if DETECTOR in names:
             yield f"detector: the name of its instance, {DETECTOR!r}, is taken, allowed: one not in use"
         if not paths:
-            yield "detector: no signal travels through a channel or a concentrator, allowed: at least one"
+            yield "detector: no signal has a channel or a concentrator, allowed: at least one"
         without = [w.signal for w in paths if not w.interval_s]
         if without:
             yield (
-                f"detector: {', '.join(without)} travels without packets, allowed: set reporting_interval_s "
+                f"detector: {', '.join(without)} is sent without packets, allowed: set reporting_interval_s "
                 "of its channel"
             )
         other = [w.signal for w in paths if w.pmu is not None and w.pmu.quantity != "frequency"]
         if other:
-            yield f"detector: {', '.join(other)} is no frequency, allowed: speeds (dw) and frequencies"
+            yield f"detector: {', '.join(other)} is not a frequency, allowed: speeds (dw) and frequencies"
         yield from self._wrong_packets(sorted({w.interval_s for w in paths if w.interval_s}))
 
     def _wrong_packets(self, intervals: Sequence[float]) -> Iterator[str]:
@@ -102,6 +102,6 @@ def few_signals(paths: Sequence[SignalPath]) -> list[str]:
     if len(paths) >= 3:
         return []
     return [
-        f"detector: it sees {len(paths)} signals; of two that disagree it cannot say which is wrong, so only "
-        "range, jump and repetition are tested; add channels of witnesses"
+        f"detector: it has {len(paths)} signals and cannot identify the wrong one of two that disagree, "
+        "so only range, jump and repetition are tested; add channels of further signals"
     ]

@@ -69,9 +69,11 @@ def study_file(name: str) -> Path:
     if (other := bundled_elsewhere(name, "study")) is not None:
         raise ScenarioError(f"{name} {other}")
     if path.is_file():
-        raise ScenarioError(f"{name}: is no study (.toml) and no grid, allowed: {FORMATS}{not_alone(path)}")
+        raise ScenarioError(
+            f"{name}: not a study (.toml) and not a grid, allowed: {FORMATS}{not_alone(path)}"
+        )
     hint = meant(name, "study") or f"; {nearest(name, [*names, *case_names()])}"
-    raise ScenarioError(f"study {name!r} is no bundled study, grid or file{hint}")
+    raise ScenarioError(f"study {name!r} is not a bundled study, grid or file{hint}")
 
 
 def require_subject(name: str) -> None:

@@ -32,7 +32,7 @@ def wrong_names(table: Mapping[str, Any], where: str, folder: Path) -> list[str]
     """Return a line for each name in a scenario's table that names nothing, whatever else is wrong."""
     lines, named = list(wrong_controller(table.get("controller"), where, folder)), table.get("case")
     lines += [
-        f"{where}: {key}: what a grid holds stands in a case file (`interarea new case`), which case = names"
+        f"{where}: {key}: a key of a case file (`interarea new case`), which `case = ` names"
         for key in ("base", "change", *ROW_TABLES)
         if key in table
     ]
@@ -159,7 +159,7 @@ def _wrong_signals(case: Case, table: Mapping[str, Any], where: str, folder: Pat
             known = known or shown_names(load_case(beside(folder, table["case"])))
             if signal not in known:
                 hint = nearest(signal, known)
-                yield f"{where}: {place}.signal = {signal!r} is no output of the plant; {hint}"
+                yield f"{where}: {place}.signal = {signal!r} is not an output of the plant; {hint}"
 
 
 def _signal_rows(table: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[str, Any]]]:

@@ -214,8 +214,9 @@ class Scenario(Table):
         changed = self.controller_gain != 1.0 or self.controller_limit_pu is not None
         if changed and (self.controller == "none" or self.controller.endswith((".fmu", *DLL_SUFFIXES))):
             wrong.append(
-                f"controller_gain and controller_limit_pu do nothing to controller = {self.controller!r}, "
-                "allowed: with a controller that is made here"
+                "controller_gain and controller_limit_pu have no effect on controller = "
+                f"{self.controller!r}, "
+                "allowed: with a controller of this package"
             )
         wrong += [
             f"connections has {list(path)}, allowed: source, channels, target"
@@ -238,8 +239,8 @@ class Scenario(Table):
             if not line.least_latency_s < self.stop_s:
                 kind, late_s = "channels" if name in self.channels else "concentrators", line.least_latency_s
                 yield (
-                    f"{kind}.{name}: a latency of {late_s:g} s with stop_s = {self.stop_s:g}: nothing would "
-                    "ever arrive, allowed: below stop_s (in seconds: 0.1 are 100 ms)"
+                    f"{kind}.{name}: a latency of {late_s:g} s with stop_s = {self.stop_s:g}: no packet "
+                    "would arrive, allowed: below stop_s (in seconds: 0.1 are 100 ms)"
                 )
         for name, channel in self.channels.items():
             for start, _ in channel.outages_s:
@@ -255,10 +256,10 @@ class Scenario(Table):
         if self.case:
             return
         if not self.fmus:
-            yield "case is missing (or fmus: a scenario needs something to run)"
+            yield "case is missing (or fmus: a scenario needs a case or FMUs)"
             return
         if self.event or self.controller != "none":
-            yield "event and controller need a case; user-defined FMUs come under fmus"
+            yield "event and controller need a case; user-defined FMUs belong in fmus"
         if self.plant or self.show or not self.as_in_file:
             yield "plant, show and operating_point need a case"
 
@@ -293,7 +294,7 @@ class Scenario(Table):
                 yield f"{where}: signal is missing (or name {end} in connections)"
             if signal in taken:
                 yield (
-                    f"{where}: signal = {signal!r} already travels through {taken[signal]}, "
+                    f"{where}: signal = {signal!r} is already sent through {taken[signal]}, "
                     "allowed: one channel for each signal"
                 )
             if signal:

@@ -157,7 +157,8 @@ class ReplayedSignal(_Fault):
     def _has_been(self) -> Self:
         if not self.length_s <= self.start_s:
             raise ValueError(
-                f"length_s = {self.length_s:g}, allowed: at most start_s = {self.start_s:g} (what has been)"
+                f"length_s = {self.length_s:g}, allowed: at most start_s = {self.start_s:g} (the signal "
+                "before it)"
             )
         return self
 
@@ -265,7 +266,7 @@ def check_faults(faults: Sequence[SignalFault], interval_s: float, signals: int 
     last_s = 0.0
     for fault in faults:
         if not fault.start_s >= last_s:
-            before = "the end of the one before, which has none" if last_s == _NEVER_S else f"{last_s:g} s"
+            before = "the end of the previous one, which has none" if last_s == _NEVER_S else f"{last_s:g} s"
             raise ValueError(
                 f"signal_faults: {fault.kind} starts at {fault.start_s:g} s, before {before}, "
                 "allowed: in order, no overlap"

@@ -166,7 +166,9 @@ class _Structure:
         if len(units) > 1 and connection.get("suppressUnitConversion", "false") not in ("true", "1"):
             raise self.error(text, f"goes from {self.units[start]} to {self.units[end]}", "the same unit")
         if end in self.source_of:
-            raise self.error(text, f"comes beside one of {_shown(self.source_of[end])}", "one source")
+            raise self.error(
+                text, f"is given in addition to one of {_shown(self.source_of[end])}", "one source"
+            )
         self.source_of[end] = start
 
     def bindings(self, holder: Any, where: str) -> None:
@@ -236,7 +238,7 @@ class _Structure:
         """Return the FMUs with their start values, and the connections, as a scenario has them."""
         names = {place: _named(place) for place in self.files}
         if len(set(names.values())) < len(names):
-            raise self.error("names of FMUs", ", ".join(names), "different ones when . becomes _")
+            raise self.error("names of FMUs", ", ".join(names), "names that differ after . is replaced by _")
         fmus: dict[str, dict[str, Any]] = {}
         for place, name in names.items():
             file = self.files[place]

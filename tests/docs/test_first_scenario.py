@@ -23,7 +23,7 @@ def test_the_first_scenario_runs_as_written() -> None:
     exec(cell[1], names)
     run = names["run"]
     row = run.ledger["remote.u"]
-    assert (row.network_s, row.reporting_s) == (0.1, 0.01) and "made of its name" in row.note
+    assert (row.network_s, row.reporting_s) == (0.1, 0.01) and "derived from its name" in row.note
     assert 10 < run.packets["remote"]["dropped"] < 100  # of some 500, one in ten
     assert len(run.plot().axes) == 3  # swing, speeds, the controller's output
     assert float(abs(run["controller.G4_vs"]).max()) > 1e-3

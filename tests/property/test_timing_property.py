@@ -85,7 +85,7 @@ def test_steps_of_one_length_stay_so_or_the_run_is_refused(length: int, step: in
             {"a": PLAIN, "r": RIGID}, **times, event_times_s=event_times_s, latency_ticks={}, edges=True
         )
     except GraphError as error:
-        assert off and "r takes steps of one length only" in str(error)
+        assert off and "r allows steps of one length only" in str(error)
     else:
         assert not off and {s.end - s.start for s in clock.steps} == {step}
 

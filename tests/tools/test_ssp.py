@@ -175,7 +175,7 @@ def test_tools_take_start_values_from_the_parameter_sets(
 
 
 def test_container_refuses_fmus_of_others(foreign: Path, cache: Path) -> None:
-    with pytest.raises(ScenarioError, match=r"first, second are FMUs of others, which no block can hold"):
+    with pytest.raises(ScenarioError, match=r"first, second are third-party FMUs, which one block cannot"):
         container_block(load_scenario(foreign.with_name("pair.toml")), cache=cache)
 
 

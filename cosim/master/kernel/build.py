@@ -130,7 +130,7 @@ def _library(path: Path) -> ctypes.CDLL:
     count = library.kernel_layout(sizes, len(_MIRRORED))
     if count != len(_MIRRORED) or list(sizes) != [ctypes.sizeof(s) for s in _MIRRORED]:
         raise BuildError(
-            f"the kernel {path.name} lays its structures out as {list(sizes)} bytes, Python as "
+            f"the kernel {path.name} has structures of {list(sizes)} bytes, Python as "
             f"{[ctypes.sizeof(s) for s in _MIRRORED]}; remove the file and run again"
         )
     return library

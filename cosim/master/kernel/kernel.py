@@ -35,7 +35,7 @@ def why_not(nodes: Mapping[str, Node]) -> str:
     """Return why these participants cannot be stepped by the kernel; empty when they can."""
     for name, node in nodes.items():
         if type(node.participant) is not FmuParticipant:
-            return f"{name} is no FMU in this process"
+            return f"{name} is not an FMU in this process"
     return ""
 
 
@@ -178,7 +178,7 @@ class Kernel:
         own = [number[s.name] for s in node.signals]
         mirror.n_signals, mirror.first_signal = len(own), min(own, default=0)
         if own != list(range(mirror.first_signal, mirror.first_signal + len(own))):
-            raise AssertionError(f"signals of {p.name} do not lie side by side: {own}")
+            raise AssertionError(f"signals of {p.name} are not adjacent: {own}")
 
     def _fill_inputs(
         self, mirror: built.KernelNode, node: Node, p: FmuParticipant, number: Mapping[str, int]

@@ -98,7 +98,7 @@ def read_comtrade(path: Path) -> Comtrade:
         sections = {parts[k].upper(): parts[k + 2] for k in range(1, len(parts) - 2, 3)}
         if not {b"CFG", b"DAT"} <= sections.keys():
             raise RecordError(
-                f"{path}: is no COMTRADE .cff file, wanted: '--- file type: CFG ---' and DAT in it"
+                f"{path}: not a COMTRADE .cff file, wanted: '--- file type: CFG ---' and DAT in it"
             )
         return _read(path, sections[b"CFG"].decode("utf-8", "replace"), sections[b"DAT"])
     data = next((p for p in (path.with_suffix(s) for s in (".dat", ".DAT", ".Dat")) if p.is_file()), None)
@@ -165,7 +165,7 @@ def _ascii(
     try:
         numbers = np.array([[field.strip() or b"nan" for field in row] for row in rows]).astype(float)
     except ValueError as error:
-        raise RecordError(f"{path}: its data hold no number where one is wanted: {error}") from None
+        raise RecordError(f"{path}: its data have no number where one is required: {error}") from None
     values = numbers[:, 2 : 2 + analogs]
     values[values == _MISSING_ASCII] = np.nan
     return numbers[:, 1], values, numbers[:, 2 + analogs :] != 0.0

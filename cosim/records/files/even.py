@@ -36,19 +36,19 @@ def even_times(source: str, stamps: Array) -> tuple[npt.NDArray[np.intp], float,
     if back.size:
         k = int(back[0])
         raise RecordError(
-            f"{source}: the time goes back from {stamps[k]:.6g} to {stamps[k + 1]:.6g} s at sample {k + 2}, "
-            "allowed: times that grow; cut the file there and read each part"
+            f"{source}: the time decreases from {stamps[k]:.6g} to {stamps[k + 1]:.6g} s at sample {k + 2}, "
+            "allowed: increasing times; split the file there and read each part"
         )
     step = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
     if not step > 0.0:
-        raise RecordError(f"{source}: all samples have the same time, wanted: times that grow")
+        raise RecordError(f"{source}: all samples have the same time, wanted: increasing times")
     step = float(steps[(steps > 0.5 * step) & (steps < 1.5 * step)].mean())  # stamps are rounded
     counted = np.concatenate([[0.0], np.cumsum(np.round(steps / step))])
     if counted[-1] > 0.0:
         near = np.abs(steps / step - np.round(steps / step)) < _ROUNDED
         if near.mean() < 0.9:
             raise RecordError(
-                f"{source}: {np.mean(~near):.0%} of the samples lie at no even spacing of {step:.4g} s, "
+                f"{source}: {np.mean(~near):.0%} of the samples do not fit an even spacing of {step:.4g} s, "
                 "allowed: samples at one rate; resample the signals at their source"
             )
         step = float(np.polyfit(counted, stamps, 1)[0])
@@ -57,11 +57,12 @@ def even_times(source: str, stamps: Array) -> tuple[npt.NDArray[np.intp], float,
     off = np.abs((stamps - stamps[0]) / step - place) > _ROUNDED
     if off.any():
         notes.append(
-            f"{int(off.sum())} time stamps lie off the even spacing of {step:.6g} s: taken at the nearest"
+            f"{int(off.sum())} time stamps deviate from the even spacing of {step:.6g} s: moved to the "
+            "nearest"
         )
     twice = int(np.sum(np.diff(place) == 0))
     if twice:
-        notes.append(f"{twice} samples came twice: the last of each was taken")
+        notes.append(f"{twice} samples occur twice: the last of each is used")
     return place, step, notes
 
 
@@ -83,11 +84,11 @@ def longest_piece(
     )
     if not to_s - from_s >= 0.5 * float(place[-1] - place[0]) * step_s:
         raise RecordError(
-            f"{source}: the time stamps jump, by {hole} at most, and no piece without a jump of more than "
-            f"{fill_s:g} s is half of the record; allowed: one such piece; cut the file, or raise fill_s"
+            f"{source}: the time stamps jump, by {hole} at most, and no part without a jump of more than "
+            f"{fill_s:g} s is half of the record; allowed: one such part; split the file, or raise fill_s"
         )
     return best, [
-        f"gaps of more than {fill_s:g} s, the longest {hole}: only {from_s:g} to {to_s:g} s is taken"
+        f"gaps of more than {fill_s:g} s, the longest {hole}: only {from_s:g} to {to_s:g} s is used"
     ]
 
 

@@ -166,9 +166,7 @@ def _record(
     channels = tuple(r.channel for r in _distinct(raws))
     record = Record(name, time_s, values, channels, tuple(notes), table.start)
     if len(record.still()) == len(channels):
-        raise RecordError(
-            f"{name}: no channel moves in {record.length_s:g} s, wanted: signals of a grid that lives"
-        )
+        raise RecordError(f"{name}: no channel varies in {record.length_s:g} s, wanted: signals that vary")
     return record
 
 
@@ -190,7 +188,7 @@ def _check_units(units: Mapping[str, str], raws: Sequence[Raw], source: str) -> 
     for key in units:
         if key not in names:
             raise RecordError(
-                f"{source}: units names {key!r}, which no channel or quantity is; {nearest(key, names)}"
+                f"{source}: units names {key!r}, which is not a channel or quantity; {nearest(key, names)}"
             )
 
 
@@ -210,7 +208,7 @@ def _without_flagged(values: Array, raws: list[Raw]) -> tuple[Array, list[Raw], 
         late = int(((word & _UNSYNCHRONISED) != 0).sum())
         if late:
             notes.append(
-                f"{raw.channel.name}: {late} samples without a synchronised clock: taken, angles uncertain"
+                f"{raw.channel.name}: {late} samples without a synchronised clock: used, angles uncertain"
             )
     left = [k for k, r in enumerate(raws) if r.channel.quantity != "status"]
     return values[:, left], [raws[k] for k in left], notes
@@ -252,7 +250,7 @@ def _wrong_scale(source: str, channel: Channel, got: str, allowed: str, unit: st
     key = channel.name.split(" ")[-1]
     return RecordError(
         f"{source}: {channel.name} is {got}, allowed: {allowed}; "
-        f"if the unit is wrong say so, as units = {{{key!r}: {unit!r}}}"
+        f"if the unit is wrong give it, as units = {{{key!r}: {unit!r}}}"
     )
 
 

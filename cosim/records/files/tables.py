@@ -25,9 +25,9 @@ WANTED = "a PMU csv, COMTRADE (.cfg, .cff), channels of PSS/E as csv, or traject
 _HEADER_ROWS = 12  # in which a row that begins with a time is looked for
 _TIME_CELL = re.compile(r"\s*\"?(time|t|timestamp|date ?time|zeit)(?![a-z])", re.IGNORECASE)
 _MOST_TEXT = 0.05  # of the samples of a column: more are no number, and it is no channel
-_IEEE_SAID = "PMU csv of the IEEE form; kV are taken from phase to ground, power as three phases"
+_IEEE_SAID = "PMU csv of the IEEE form; kV are phase to ground, power is of three phases"
 _PSSE_SAID = "channels of PSS/E: FREQ as pu of {:g} Hz, powers of machines as pu of SBASE"
-_OWN_SAID = "a run's csv names no units: taken as pu"
+_OWN_SAID = "a run's csv has no units: pu assumed"
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,7 +144,7 @@ def _csv(path: Path, frequency_hz: float, rows: int | None) -> Iterator[Table]:
         if not keep:
             raise RecordError(f"{path}: no column holds numbers, wanted: {WANTED}")
         left_out = [
-            f"{raws[k].channel.name}: {share:.0%} of its cells are no number: left out"
+            f"{raws[k].channel.name}: {share:.0%} of its cells are not numbers: left out"
             for k, share in enumerate(texts)
             if k not in keep
         ]
@@ -170,7 +170,7 @@ def _frames(path: Path, first: int, width: int, separator: str, rows: int | None
         raise
     except (pd.errors.ParserError, ValueError) as error:
         raise RecordError(
-            f"{path}: rows of unlike length: {str(error).strip()}; wanted: {width} cells in each"
+            f"{path}: rows of different lengths: {str(error).strip()}; wanted: {width} cells in each"
         ) from None
 
 

@@ -81,7 +81,7 @@ def test_an_fmu_that_takes_short_steps_only_gets_them(misbehaving: Path, early: 
 @pytest.mark.parametrize(
     ("start", "says", "time_s"),
     [
-        ({"longest": 1e-17}, "returned discard|keeps returning discard and stays at", 0.0),
+        ({"longest": 1e-17}, "returned discard|returns discard repeatedly and stays at", 0.0),
         ({"end_at": 0.55}, r"asks for the simulation to end at t = 0\.55 s", 0.5),
         ({"back_at": 0.25}, r"names t = -0\.8 s as the time it reached, outside its step", 0.2),
     ],

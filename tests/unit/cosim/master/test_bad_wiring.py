@@ -34,10 +34,10 @@ def pair(misbehaving: Path, **options: Any) -> System:
 @pytest.mark.parametrize(
     ("wires", "says"),
     [
-        ([("frist.y", "second.u")], r"'frist.y' is no connection end.*did you mean 'first'"),
+        ([("frist.y", "second.u")], r"'frist.y' is not a connection end.*did you mean 'first'"),
         ([("first.x", "second.u")], r"first has no output 'x'; there are: y"),
         ([("first.y", "second.v")], r"second has no input 'v'; there are: u"),
-        ([("first.y", "second")], r"'second' is no connection end 'instance.variable'"),
+        ([("first.y", "second")], r"'second' is not a connection end 'instance.variable'"),
         (
             [("first.y", "second.u"), ("second.y", "second.u")],
             "second.u has two sources, first.y and",

@@ -106,7 +106,7 @@ def test_a_scenario_names_a_dll_as_its_controller(robust: Path, cache: Path) -> 
     assert np.abs(result).max() > 1e-3
     assert np.abs(result - wanted).max() < 1e-12, np.abs(result - wanted).max()
     loaded = load_scenario(short)
-    assert system_of(loaded, cache=cache).linear_swings() == "controller may do anything"
+    assert system_of(loaded, cache=cache).linear_swings() == "controller may have any effect"
     with pytest.raises(ScenarioError, match="controller run as DLLs, which an archive"):
         members_of(loaded, cache=cache)
     with pytest.raises(ScenarioError, match="controller_gain and controller_limit_pu do nothing"):

@@ -73,8 +73,8 @@ def test_without_a_difference_the_record_is_said_to_be_too_short_and_forced_line
     assert any(s.kind == "forced" for s in result.swings)
     assert not first.shown
     assert first.interval[0] < 0.0 < first.interval[1]
-    assert "no difference in the damping" in first.sentence
-    assert "records of 9.98 min show" in first.sentence or "records of 10 min show" in first.sentence
+    assert "no significant difference in the damping" in first.sentence
+    assert "records of 9.98 min resolve" in first.sentence or "records of 10 min resolve" in first.sentence
     assert first.wanted_s is not None
     assert first.wanted_s > 600.0
 
@@ -112,7 +112,7 @@ def test_the_bundled_controller_raises_the_damping_of_ten_minutes_of_load_noise(
 @pytest.mark.slow
 def test_records_without_a_common_signal_or_mode_are_refused() -> None:
     record = ambient(1, 300.0)
-    with pytest.raises(RecordError, match="hold the same numbers, wanted: one record with the controller"):
+    with pytest.raises(RecordError, match="contain the same data, wanted: one record with the controller"):
         brought(record, record)
     channels = tuple(type(c)(f"other.{c.name}", c.quantity, c.unit, c.terminal) for c in record.channels)
     other = Record("other", record.time_s, ambient(2, 300.0).values, channels)

@@ -73,7 +73,7 @@ def test_no_source_is_named_where_the_checks_fail() -> None:
     assert "too similar" in result.why
     result = located(phasors({"C": twins["C"]}))
     assert result.source == ""
-    assert "outside what is observed" in result.why
+    assert "not at an observed terminal" in result.why
 
 
 @pytest.mark.slow
@@ -107,7 +107,7 @@ def test_records_that_cannot_be_located_are_refused_with_what_would_do() -> None
     with pytest.raises(RecordError, match=r"5 s are 3\.5 periods of 0\.7 Hz, wanted: 10 at least, 14\.3 s"):
         located(record.between(0.0, 5.0), frequency_hz=F)
     quiet = phasors(dict.fromkeys(ENDS, (0j, 0j)), noise=1.0)
-    with pytest.raises(RecordError, match="no oscillation stands out"):
+    with pytest.raises(RecordError, match="no oscillation exceeds the background"):
         located(quiet)
     volts = record.only([c.name for c in record.channels if c.quantity == "voltage"])
     with pytest.raises(RecordError, match="no terminal has power and angle, wanted at each: V, I"):

@@ -162,7 +162,7 @@ def test_records_without_enough_of_the_grid_or_time_are_refused() -> None:
     with pytest.raises(RecordError, match=r"5 s are 4 periods of 0\.8 Hz, wanted: 5 at least"):
         source_by_model(record.between(0.0, 5.0), case, plant, frequency_hz=F)
     few = record.only([c.name for c in record.channels][:3])
-    with pytest.raises(RecordError, match=r"channels are of places that two-area-thesis has, wanted: 4"):
+    with pytest.raises(RecordError, match=r"channels are at places of two-area-thesis, wanted: 4"):
         source_by_model(few, case, plant, frequency_hz=F)
 
 

@@ -59,7 +59,7 @@ def record(values: list[float]) -> Record:
     ("channel", "values", "start_s", "says"),
     [
         ("G3_dw", [0.0, 1.0], 1.0, "own: no channel 'G3_dw', allowed: G2_dw"),
-        ("G2_dw", [0.0, float("nan")], 1.0, "G2_dw has values that are no numbers"),
+        ("G2_dw", [0.0, float("nan")], 1.0, "G2_dw has values that are not numbers"),
         ("G2_dw", [0.0, 1.0], -1.0, "start_s = -1, allowed: 0 or later"),
     ],
 )

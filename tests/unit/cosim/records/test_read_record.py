@@ -263,16 +263,16 @@ WRONG = {
     ),
     "back": (
         _with_time(lambda t: t.__setitem__(slice(100, None), t[100:] - 2.0)),
-        "the time goes back from 3.3",
+        "the time decreases from 3.3",
     ),
     "jump": (
         _with_time(lambda t: t.__iadd__(50.0 * (np.arange(300) // 100))),
         "time stamps jump, by 50 s at 3.3",
     ),
-    "uneven": (_with_time(lambda t: t.__ipow__(1.5)), "lie at no even spacing"),
+    "uneven": (_with_time(lambda t: t.__ipow__(1.5)), "do not fit an even spacing"),
     "still": (
         lambda path: ieee_csv(path, columns={"F": ("HZ", np.full(300, 60.0))}),
-        "no channel moves in 9.96",
+        "no channel varies in 9.96",
     ),
     "no time": (
         _text("Time,F\n" + "\n".join(f"{k},60" if k != 9 else "x,60" for k in range(20))),
@@ -320,7 +320,9 @@ def test_a_damaged_comtrade_names_the_line(damage, says: str, tmp_path: Path) ->
 def test_units_named_by_the_caller_are_taken_or_refused(tmp_path: Path) -> None:
     path = ieee_csv(tmp_path / "r.csv", columns={"VM": ("KV", 1e3 * COLUMNS["VM"][1])})
     np.testing.assert_allclose(read_record(path, units={"VM": "V"}).values[:, 0], COLUMNS["VM"][1], rtol=1e-6)
-    with pytest.raises(RecordError, match="units names 'VX', which no channel or quantity is; did you mean"):
+    with pytest.raises(
+        RecordError, match="units names 'VX', which is not a channel or quantity; did you mean"
+    ):
         read_record(path, units={"VX": "V"})
     with pytest.raises(RecordError, match="= 'furlong', allowed: a, amp"):
         read_record(path, units={"VM": "furlong"})

@@ -151,7 +151,7 @@ def test_nothing_to_meter_is_refused_with_the_first_reason(
 ) -> None:
     still = day(2)
     still.iloc[:, 1:] = 60.0
-    with pytest.raises(RecordError, match="no channel moves"):
+    with pytest.raises(RecordError, match="no channel varies"):
         ia.damping_trend(as_csv(still, tmp_path), every_s=EVERY_S)
     with pytest.raises(RecordError, match="no part with samples"):
         trend(iter(()))

@@ -71,7 +71,7 @@ def test_what_is_beyond_the_room_for_lines_is_counted(
 ) -> None:
     monkeypatch.setattr(fmu_log, "MOST_LINES", 2)
     result = run_system(table(misbehaving, warn_at=0.0))
-    assert result.fmu_log[2:] == ("a: 3 further messages were not kept, allowed: 2",)
+    assert result.fmu_log[2:] == ("a: 3 further messages were discarded, allowed: 2",)
     assert result.warnings[0].startswith("a: 5 steps with a warning")
 
 
@@ -85,7 +85,7 @@ def test_an_fmu_that_ends_the_run_leaves_results(misbehaving: Path, tmp_path: Pa
     curve = np.loadtxt(tmp_path / "trajectory.csv", delimiter=",", skiprows=1)
     np.testing.assert_allclose(curve[:, 1], [0.0, 0.01, 0.02, 0.03], atol=1e-15)
     (line,) = json.loads((tmp_path / "ledger.json").read_text())["warnings"]
-    assert line.startswith("the run ended before its time: a: fmi2DoStep at t = 0.03 s")
+    assert line.startswith("the run ended early: a: fmi2DoStep at t = 0.03 s")
     assert not (tmp_path / "metrics.json").exists() and (tmp_path / "run.json").exists()
 
 

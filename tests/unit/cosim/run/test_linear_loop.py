@@ -116,7 +116,7 @@ def test_a_signal_that_is_lost_in_the_window_counts_as_lost() -> None:
 @pytest.mark.parametrize(
     ("changes", "reason"),
     [
-        ({"event": [PULSE, TRIP]}, "the grid is not what it was after the branch_trip at 1 s"),
+        ({"event": [PULSE, TRIP]}, "the grid is changed by the branch_trip at 1 s"),
         ({"plant": {"G1.exciter.KA": 30.0}}, "plant.G1.exciter.KA was changed"),
     ],
 )

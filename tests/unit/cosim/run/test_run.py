@@ -162,9 +162,9 @@ def test_a_run_can_be_forked_from_its_fault(by_hand: Controller) -> None:
     [
         (
             {"channels": {"a": {"signal": "G9_dw"}}},
-            r"channels\.a\.signal = 'G9_dw' is no output of the plant",
+            r"channels\.a\.signal = 'G9_dw' is not an output of the plant",
         ),
-        ({"channels": {"a": {"signal": "G1_pe"}}}, r"is no input of controller by_hand"),
+        ({"channels": {"a": {"signal": "G1_pe"}}}, r"is not an input of controller by_hand"),
         ({"controller": "best"}, r"controller = 'best' is neither a name nor a file; "),
     ],
 )

@@ -39,7 +39,9 @@ def test_a_latency_not_below_the_time_left() -> None:
         "remote: a latency of 2 s is not below the 2 s left after the first event (at 1 s)"
     )
     assert warned(channels={"remote": {"signal": "G2_dw", "latency_s": 1.999}}) == []
-    with pytest.raises(ScenarioError, match=r"channels.remote: a latency of 100 s with stop_s = 3: nothing"):
+    with pytest.raises(
+        ScenarioError, match=r"channels.remote: a latency of 100 s with stop_s = 3: no packet"
+    ):
         warned(channels={"remote": {"signal": "G2_dw", "latency_s": 100.0}})  # milliseconds were meant
 
 
@@ -57,7 +59,7 @@ def test_a_controller_made_for_another_case() -> None:
 def test_an_output_connected_to_nothing(hand_controller: Controller) -> None:
     driving, lines = outputs_used("mine", ["G4_vs", "alarm"], ["G2_vs", "G4_vs"], [])
     assert driving == ["G4_vs"]
-    assert lines == ["controller mine: output 'alarm' is connected to nothing; there are: G2_vs, G4_vs"]
+    assert lines == ["controller mine: output 'alarm' is not connected; there are: G2_vs, G4_vs"]
     assert outputs_used("mine", ["G4_vs", "alarm"], ["G4_vs"], [("controller.alarm", "mine.u")])[1] == []
     K = hand_controller.system
     D = np.zeros((2, 2))
@@ -65,7 +67,7 @@ def test_an_output_connected_to_nothing(hand_controller: Controller) -> None:
         K.A, K.B, np.vstack([K.C, K.C]), D, inputs=["G2_dw", "G4_dw"], outputs=["G4_vs", "G9_vs"]
     )
     (line,) = warned(replace(hand_controller, system=two))
-    assert "output 'G9_vs' is connected to nothing; did you mean" in line
+    assert "output 'G9_vs' is not connected; did you mean" in line
     none = control.ss(K.A, K.B, K.C, K.D, inputs=["G2_dw", "G4_dw"], outputs=["G9_vs"])
     with pytest.raises(ScenarioError, match=r"none of its outputs .* 'G9_vs': did you mean"):
         warned(replace(hand_controller, system=none))
@@ -88,7 +90,7 @@ def test_no_two_channels_lose_the_same_packets(hand_controller: Controller) -> N
     lost = [run[f"{name}.dropped"] for name in paths]
     assert lost[0][-1] > 5 < lost[1][-1] and not np.array_equal(lost[0], lost[1])
     seed = derived_seed(0, "remote")
-    assert run.ledger["remote.u"].note.endswith(f"seed {seed}, made of its name")
+    assert run.ledger["remote.u"].note.endswith(f"seed {seed}, derived from its name")
     given = {n: path | {"seed": 7} for n, path in paths.items()}
     same = run_scenario(document(channels=given), controller=hand_controller)
     assert np.array_equal(same["remote.dropped"], same["local.dropped"])

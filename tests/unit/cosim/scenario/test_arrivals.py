@@ -119,7 +119,7 @@ def test_both_engines_give_the_same_bits_where_packets_come_out(hand_controller:
         made.event("vref_pulse", machine="G1", size_pu=0.02, start_s=0.5, end_s=0.7)
         runs.append(made.run())
     assert runs[0].data.equals(runs[1].data)
-    assert "packets come out at" in runs[0].explain()
+    assert "packets are released at" in runs[0].explain()
     assert runs[0].packets["line"]["dropped"] > 0 and runs[0].packets["pdc"]["late"] > 0
 
 

@@ -80,7 +80,7 @@ def test_packet_keys() -> None:
                 "reporting_interval_s": 0.02,
                 "latency": {"kind": "empirical", "quantiles_s": [0.02, 0.01]},
             },
-            "not descending",
+            "not decreasing",
         ),
     ],
 )

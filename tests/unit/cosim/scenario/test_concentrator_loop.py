@@ -168,12 +168,12 @@ def test_a_scenario_without_a_case_connects_its_ends(cache: Path) -> None:
         ({"signals": [{"latency_s": 0.1}]}, r"pdc\.signals 1: signal is missing \(or name pdc\.u1"),
         (
             {"signals": [{"signal": "G2_dw"}, {"signal": "G2_dw"}]},
-            "already travels through concentrators.pdc",
+            "is already sent through concentrators.pdc",
         ),
         ({"signals": []}, "signals = .*at least 1"),
         (
             {"signals": [{"signal": "G9_dw"}]},
-            r"concentrators\.pdc: signal = 'G9_dw' is no output of the plant",
+            r"concentrators\.pdc: signal = 'G9_dw' is not an output of the plant",
         ),
     ],
 )
@@ -188,7 +188,7 @@ def test_a_mistake_in_its_table_is_one_line(cache: Path, change: dict[str, Any],
 def test_a_signal_travels_one_way_and_a_name_is_used_once() -> None:
     pdc = {"signals": [{"signal": "G2_dw"}]}
     document = {"case": "two-area-thesis", "stop_s": 1.0, "concentrators": {"pdc": pdc}}
-    with pytest.raises(ScenarioError, match=r"already travels through channels\.remote"):
+    with pytest.raises(ScenarioError, match=r"is already sent through channels\.remote"):
         load_scenario(document | {"channels": {"remote": {"signal": "G2_dw"}}})
     with pytest.raises(ScenarioError, match=r"concentrators\.pdc: its name must be .* used once"):
         load_scenario(document | {"channels": {"pdc": {"signal": "G4_dw"}}})

@@ -86,7 +86,7 @@ def test_a_polarity_that_makes_the_loop_swing_no_longer_does() -> None:
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        ({"channels": {"a": {"signal": "G2_dw"}}}, "detector: G2_dw travels without packets, allowed: set"),
+        ({"channels": {"a": {"signal": "G2_dw"}}}, "detector: G2_dw is sent without packets, allowed: set"),
         (
             {
                 "channels": {
@@ -96,7 +96,7 @@ def test_a_polarity_that_makes_the_loop_swing_no_longer_does() -> None:
             },
             "packets come every 0.02 s and 0.04 s, allowed: one reporting interval",
         ),
-        ({"channels": {}}, "detector: no signal travels through a channel"),
+        ({"channels": {}}, "detector: no signal has a channel"),
         (
             {"detector": {"average_s": 6.0}},
             "average_s = 6 with packets every 0.02 s, allowed: 1 to 256",
@@ -115,7 +115,7 @@ def test_a_polarity_that_makes_the_loop_swing_no_longer_does() -> None:
                     }
                 }
             },
-            "detector: v is no frequency, allowed: speeds",
+            "detector: v is not a frequency, allowed: speeds",
         ),
         ({"detector": {"repeat_frames": 0}}, "repeat_frames = 0"),
     ],
@@ -128,22 +128,25 @@ def test_refused(change: dict[str, Any], says: str) -> None:
 def test_a_witness_that_the_plant_does_not_have_is_refused() -> None:
     table = scenario()
     table["channels"]["third"]["signal"] = "G9_dw"
-    with pytest.raises(ScenarioError, match="'G9_dw' is no output of the plant"):
+    with pytest.raises(ScenarioError, match="'G9_dw' is not an output of the plant"):
         system_of(load_scenario(table))
 
 
 def test_two_signals_are_a_warning() -> None:
     table = scenario()
     del table["channels"]["third"], table["channels"]["last"]
-    with pytest.warns(ScenarioWarning, match="of two that disagree it cannot say which is wrong"):
+    with pytest.warns(ScenarioWarning, match="cannot identify the wrong one of two"):
         assert "detector" in system_of(load_scenario(table)).warned().parts
 
 
 @pytest.mark.parametrize(
     ("of", "says"),
     [
-        ({"signals": ("G2_dw", "G4_dw", "G1_dw")}, "was designed for G2_dw, G4_dw, G1_dw, here travel"),
-        ({"interval_s": 0.04}, "was designed for packets every 0.04 s, here they come every 0.02 s"),
+        (
+            {"signals": ("G2_dw", "G4_dw", "G1_dw")},
+            "was designed for G2_dw, G4_dw, G1_dw, here the signals are",
+        ),
+        ({"interval_s": 0.04}, "was designed for packets every 0.04 s, here the interval is 0.02 s"),
         ({"case": "new-england"}, "was designed for the case 'new-england', here it is 'two-area-thesis'"),
     ],
 )

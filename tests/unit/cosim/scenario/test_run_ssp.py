@@ -150,7 +150,7 @@ def test_a_value_of_a_system_reaches_what_its_connector_feeds(fmu: Path, tmp_pat
         (
             system("root", component("a") + component("b"), wire("a.y", "b.u") + wire("b.y", "b.u")),
             EXPERIMENT,
-            "connection b.y -> b.u: comes beside one of a.y, allowed: one source",
+            "connection b.y -> b.u: is given in addition to one of a.y, allowed: one source",
         ),
         (
             system("root", component("a").replace("misbehaving.fmu", "gone.fmu")),

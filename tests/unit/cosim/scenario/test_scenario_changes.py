@@ -77,8 +77,8 @@ def test_plant_gives_start_values_of_the_plants_parameters(hand_controller: Cont
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"plant": {"G1.exciter.Efd_mux": 5.0}}, r"plant.G1.exciter.Efd_mux is no parameter.*Efd_max"),
-        ({"plant": {"G1_vs": 0.1}}, "G1_vs is no parameter"),
+        ({"plant": {"G1.exciter.Efd_mux": 5.0}}, r"plant.G1.exciter.Efd_mux is not a parameter.*Efd_max"),
+        ({"plant": {"G1_vs": 0.1}}, "G1_vs is not a parameter"),
         ({"controller": "none", "controller_gain": 2.0}, "controller = 'none'"),
         ({"controller": "x.fmu", "controller_limit_pu": 0.1}, "controller = 'x.fmu'"),
         ({"controller_limit_pu": 0.0}, "controller_limit_pu"),

@@ -40,12 +40,12 @@ def scenario(*faults: dict[str, Any], stop_s: float = 3.0, **keys: Any) -> dict[
         (
             {},
             [{"kind": "stuck", "start_s": 1.0}, {"kind": "polarity", "start_s": 2.0}],
-            "before the end of the one before, which has none, allowed: in order, no overlap",
+            "before the end of the previous one, which has none, allowed: in order, no overlap",
         ),
         (
             PACKETS,
             [{"kind": "replay", "length_s": 1.5, "start_s": 1.0}],
-            r"length_s = 1.5, allowed: at most start_s = 1 \(what has been\)",
+            r"length_s = 1.5, allowed: at most start_s = 1 \(the signal before it\)",
         ),
         ({}, [{"kind": "noise", "rms": 1e-3, "start_s": 1.0}], "noise acts on packets"),
         (PACKETS, [{"kind": "replay", "length_s": 0.03, "start_s": 1.0}], "a whole number of packets"),
