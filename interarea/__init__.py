@@ -1,8 +1,8 @@
-"""Wide-area damping of inter-area oscillations: the front door.
+"""Wide-area damping of inter-area oscillations: the public names.
 
     import interarea as ia
 
-loads nothing until a name is used; what stands in `__all__` is public, all else may change.
+loads a module when one of its names is used. The names in `__all__` are public; all others may change.
 """
 
 from __future__ import annotations

@@ -58,8 +58,8 @@ def check_words(command: Any, words: Sequence[str]) -> None:
         taken = options.get(before)
         if taken is not None and not taken.is_flag and word.partition("=")[0] in options:
             raise UsageMistake(
-                f"{command.name}: {before} has no value, the option {word} follows it, "
-                f"wanted: {_wanted(command, before)}"
+                f"{command.name}: {before} has no value, it is followed by the option {word}, wanted: "
+                f"{_wanted(command, before)}"
             )
 
 
@@ -163,7 +163,7 @@ def _before_a_command(error: Any) -> str:
     """Return what is wrong with the words before a command's name, or with the name."""
     if hasattr(error, "possibilities"):
         return (
-            f"{error.option_name}: no such option before the name of a command; those of a command follow "
+            f"{error.option_name}: no such option before the name of a command; options of a command follow "
             "its name, as `interarea list --json` (`interarea --help` lists the commands)"
         )
     word = error.message.partition("'")[2].partition("'")[0]
@@ -200,8 +200,8 @@ def _too_many(command: Any, words: Sequence[str], error: Any) -> str:
     arguments = [p for p in command.params if p.param_type_name == "argument"]
     allowed = " and ".join(f"one {_shown(p)}" for p in arguments) or "options alone"
     out = next((p for p in command.params if "--out" in p.opts), None)
-    hint = f"; what is written goes to --out {extra.split()[-1]}"
-    return f"{extra}: more than is taken, allowed: {allowed}" + (
+    hint = f"; give the output as --out {extra.split()[-1]}"
+    return f"{extra}: too many arguments, allowed: {allowed}" + (
         hint if out is not None and not any(w.partition("=")[0] == "--out" for w in words) else ""
     )
 

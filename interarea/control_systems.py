@@ -28,10 +28,9 @@ def delay_margin(loop: SystemLike, *, sign: int = -1, upto_s: float = 10.0) -> D
 
     Parameters
     ----------
-    loop : what the loop returns when it is cut, L = G K, continuous, D = 0, as many outputs as inputs. Each
-        signal has the same delay.
+    loop : open-loop transfer L = G K, continuous, D = 0, square. All signals have the same delay.
     sign : -1: the loop is closed by u = -y, as `control.feedback` does; +1: by u = +y.
-    upto_s : delays up to here are looked at, s.
+    upto_s : largest delay examined, s.
 
     Returns
     -------
@@ -39,11 +38,11 @@ def delay_margin(loop: SystemLike, *, sign: int = -1, upto_s: float = 10.0) -> D
 
     Raises
     ------
-    UserError : no such system, D not zero, or a loop that is not stable without delay.
+    UserError : not a linear system, D not zero, or a loop that is unstable without delay.
 
     Examples
     --------
-    An integrator of gain 2 bears a delay of pi / 4 s.
+    An integrator of gain 2 has a delay margin of pi / 4 s.
 
     >>> import control
     >>> round(delay_margin(control.ss(0, 1, 2, 0)).margin_s, 6)
@@ -67,11 +66,11 @@ def delayed_poles(
     ----------
     loop, sign : as `delay_margin` takes them.
     latency_s : of all signals, or one of each output, s.
-    right_of : real part from which on poles are wanted, 1/s; lowered until there are `least`.
+    right_of : least real part of the poles, 1/s; reduced until there are `least` poles.
 
     Raises
     ------
-    UserError : no such system, D not zero, a negative delay, or poles that cannot be told apart.
+    UserError : not a linear system, D not zero, a negative delay, or poles that cannot be separated.
 
     Examples
     --------
@@ -95,10 +94,10 @@ def hinfsyn(
 
     Parameters
     ----------
-    plant : continuous; inputs w then u, outputs z then y, as `control.augw` gives it.
-    measurements, controls : how many outputs y and inputs u are, the last ones.
-    damping_ratio : least damping ratio of every pole. decay_rate : poles left of minus this, 1/s.
-    radius : poles inside this circle, rad/s.
+    plant : continuous; inputs w then u, outputs z then y, as returned by `control.augw`.
+    measurements, controls : number of outputs y and of inputs u; they are the last ones.
+    damping_ratio : least damping ratio of the poles. decay_rate : least decay rate of the poles, 1/s.
+    radius : largest magnitude of the poles, rad/s.
 
     Returns
     -------
@@ -108,8 +107,8 @@ def hinfsyn(
 
     Raises
     ------
-    InfeasibleDesign : names the constraint at fault. UncertifiedDesign : the closed loop contradicts the
-    solver. UserError : no such system. ValueError : a region that contradicts itself.
+    InfeasibleDesign : names the infeasible constraint. UncertifiedDesign : the closed loop contradicts the
+    solver. UserError : not a linear system. ValueError : an empty region.
 
     Examples
     --------
@@ -136,8 +135,8 @@ def h2syn(plant: SystemLike, measurements: int, controls: int) -> Synthesis:
 
     Raises
     ------
-    InfeasibleDesign : an unstable mode that is fixed; D11, D12 or D21 for which there is no optimum.
-    UncertifiedDesign : the closed loop contradicts the equations. UserError : no such system.
+    InfeasibleDesign : a fixed unstable mode; D11, D12 or D21 without an optimum.
+    UncertifiedDesign : the closed loop contradicts the equations. UserError : not a linear system.
 
     Examples
     --------
@@ -157,8 +156,8 @@ def _delayed(loop: SystemLike, latency_s: float | Sequence[float], sign: int) ->
         raise LinearSystemError(f"loop: {G.noutputs} outputs and {G.ninputs} inputs, wanted as many of both")
     if G.D.any():
         raise DelayError(
-            f"loop: D is not zero (largest {np.abs(G.D).max():.3g}): with a delay it makes a neutral "
-            "equation, whose poles do not end; low-pass the loop"
+            f"loop: D is not zero (largest {np.abs(G.D).max():.3g}): with a delay the equation is of "
+            "neutral type, with infinitely many fast poles; low-pass the loop"
         )
     if sign not in (-1, 1):
         raise DelayError(f"sign = {sign!r}, allowed: -1 (u = -y) or 1 (u = +y)")
@@ -175,8 +174,8 @@ def _generalized(
     """Return the generalized plant without its D22, and D22."""
     G = state_space(plant, "plant")
     for name, count, total, others in (
-        ("measurements", measurements, G.noutputs, "outputs are z, what is to be small"),
-        ("controls", controls, G.ninputs, "inputs are w, what disturbs"),
+        ("measurements", measurements, G.noutputs, "outputs are z, the performance outputs"),
+        ("controls", controls, G.ninputs, "inputs are w, the disturbances"),
     ):
         if not 1 <= count < total:
             allowed = f"1 to {total - 1}" if total > 1 else "no number"

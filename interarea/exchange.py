@@ -1,4 +1,4 @@
-"""Public functions that hand models to other tools: FMUs, SSP archives, and the check of both."""
+"""Public functions that export models: FMUs, SSP archives, and the check of both."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ def build_fmu(
     ----------
     thing : `Case`, controller object, `control.StateSpace` (u = +K y, speeds in rad/s), or ``"channel"``.
     path : the file to write.
-    case : gives a controller its base speed.
-    platforms : of the binaries (linux64, win64, darwin64, linux-arm64, ...); default this machine's.
+    case : defines the base speed of a controller.
+    platforms : of the binaries (linux64, win64, darwin64, linux-arm64, ...); default: of this computer.
 
     Raises
     ------
-    UserError : a thing that is no model. InterareaError : no compiler for a platform.
+    UserError : not a model. InterareaError : no compiler for a platform.
 
     Examples
     --------
@@ -78,11 +78,11 @@ def write_ssp(
     Parameters
     ----------
     scenario : TOML file, bundled name, or a dict of the same keys.
-    platforms : of the binaries inside; default this machine's.
+    platforms : of the binaries inside; default: of this computer.
 
     Raises
     ------
-    UserError : a mistake in the scenario.
+    UserError : an error in the scenario.
 
     Examples
     --------
@@ -118,7 +118,7 @@ def check(path: str | Path, *, run: bool = True) -> Report:
 
     Parameters
     ----------
-    run : load the FMU's binary too and see how it behaves.
+    run : also load the FMU's binary and test its behaviour.
 
     Raises
     ------

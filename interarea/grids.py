@@ -69,20 +69,19 @@ def import_case(
     ----------
     frequency_hz : for a file that has none; 60 Hz when not given.
     P_exponent, Q_exponent : of RAW loads against voltage; constant impedance (2) when not given.
-    strict : an assumption is an error.
+    strict : reject a file that needs an assumption.
     island : a bus of the island to keep, or "all" with a slack bus; the largest of these when not given.
     converters : "model", or "current" for inverters and units without dynamic data as constant currents.
-    dc_lines : "model", dc links where two-terminal and VSC lines can be that, or "power" for constant powers.
+    dc_lines : "model" for dc links where two-terminal and VSC lines allow it, or "power" for constant powers.
     coordinates : CSV with the columns bus, latitude, longitude.
-    release_limits : widen the limits beyond which controls would start; what was changed is in the report.
+    release_limits : widen limits that the controls violate at the start; the report lists the changes.
     devices : files of user-defined devices; records of their names (USRMDL or not) become these.
-    leave_out, replace : models of DYR records to go on without, and to read as another (old -> new).
-    report : called with what was read, assumed and dropped, how the controls start, and whether the grid is
-        stable at rest, as text.
+    leave_out, replace : models of DYR records to omit, and to read as another model (old -> new).
+    report : called with a text: what was read, assumed and dropped, limits of the controls, and stability.
 
     Raises
     ------
-    UserError : no such file, another format, or what has no counterpart, by name.
+    UserError : no such file, another format, or an element without a model, by name.
 
     Examples
     --------
@@ -117,9 +116,10 @@ def import_case(
 def linearise(case: Case | str | Path, *, reference: bool = False, speeds: str = "pu") -> control.StateSpace:
     """Return the plant linearised at its operating point; states, inputs and outputs have names.
 
-    Inputs ``G1_vs`` ... in pu; outputs as the plant FMU gives them, speeds ``G1_dw`` ... in pu unless asked
-    for in rad/s; time in s. The system's name says which.
-    The matrices are dense, of 3000 states at most; `loops`, `reduce` and ``interarea modes --band`` take all.
+    Inputs ``G1_vs`` ... in pu; outputs of the plant FMU, speeds ``G1_dw`` ... in pu or rad/s;
+    time in s. The name of the system states the unit of speed.
+    The matrices are dense, of 3000 states at most; `loops`, `reduce` and ``interarea modes --band`` have no
+    such limit.
 
     Parameters
     ----------
@@ -151,11 +151,11 @@ def linearise(case: Case | str | Path, *, reference: bool = False, speeds: str =
 def modes(case: Case | str | Path) -> SwingModes:
     """Return the swing modes of a case, a Mapping name -> `Mode`, named by shape (``inter-area``).
 
-    Its `growth` is the verdict on all eigenvalues, swing modes or not; the repr begins with it.
+    Its `growth` is the stability verdict of all eigenvalues; the repr begins with it.
 
     Raises
     ------
-    UserError : no such case, or swing modes that cannot be told apart.
+    UserError : no such case, or swing modes that cannot be separated.
 
     Examples
     --------
@@ -180,19 +180,19 @@ def loops(
     most: int = 10,
     points: Mapping[str, Case] | None = None,
 ) -> RankedLoops:
-    """Rank every signal at every actuator by how well the loop reaches and shows a mode; a grid of any size.
+    """Rank every loop (actuator and signal) by the residue of a mode, for a grid of any size.
 
     The index of a loop is its residue over the largest of its kind of signal for that mode. Sets of actuators
-    are ranked by the mode that they serve least.
+    are ranked by the mode with the smallest residue.
 
     Parameters
     ----------
     band_hz, below : modes are those of this band whose damping ratio is below this.
     targets : modes to be damped, by name; default the inter-area ones.
     signals : kinds of them: speed, frequency, angle, power, current. actuators : default all (``G1_vs``).
-    latency_s : of every signal; turns the phase that a controller has to make up.
+    latency_s : of every signal; changes the phase that a controller must compensate.
     together : actuators in a set, default 2. most : rows of each ranking.
-    points : name -> the grid at another operating point, at which sets are to hold too.
+    points : name -> the grid at another operating point, where sets are ranked too.
 
     Raises
     ------
@@ -222,9 +222,9 @@ def reduce(
     Parameters
     ----------
     system : a `control.StateSpace` or (A, B, C, D) in continuous time, n states; unstable and zero modes are
-        kept as they are. Or a case of any size (bundled name, file
+        not reduced. Or a case of any size (bundled name, file
         or `Case`), which is never linearised as a whole: balanced truncation from low-rank Gramians of its
-        sparse blocks, zero modes that nothing sees removed.
+        sparse blocks, unobservable zero modes removed.
     order : states of the result.
     method : "balanced" (truncation), "singular_perturbation" or "hankel" (optimal Hankel norm); of a case
         "balanced".
@@ -232,7 +232,7 @@ def reduce(
 
     Raises
     ------
-    UserError : an order out of range, an unknown method, unknown signals of a case, or what is neither a case
+    UserError : an order out of range, an unknown method, unknown signals of a case, or neither a case
         nor a linear system in continuous time.
 
     Examples
@@ -258,11 +258,11 @@ _NONE = 1e29  #: limits beyond are none
 
 
 def margins_at_rest(case: Case) -> list[dict[str, Any]]:
-    """Return each limited signal of the controls at rest, the nearest to a limit first.
+    """Return each limited signal of the controls at the equilibrium, the nearest to a limit first.
 
     Raises
     ------
-    StartError : a control cannot rest; all of them are listed on stderr first.
+    StartError : a control without an equilibrium; stderr lists all of them first.
     """
     from interarea.models.grid.control_tables import StartError
     from interarea.models.grid.start import start_of

@@ -23,7 +23,7 @@ _WANTED = "KEY=FROM:TO or KEY=FROM:TO:POINTS, such as machines.G1.exciter.KA=50:
 
 
 class LocusError(UserError):
-    """A parameter that is not there, or values that make no locus."""
+    """An unknown parameter, or values that do not form a locus."""
 
 
 def along_of(text: str) -> tuple[str, list[float]]:
@@ -56,17 +56,17 @@ def locus_of(
     controller: Controller | None = None,
     latency_s: float = 0.0,
 ) -> Locus:
-    """Return every mode of a region, a band (Hz) and a damping ratio, over `values` of a parameter.
+    """Return the modes in a band (Hz) below a damping ratio, over `values` of a parameter.
 
-    Each value has its own operating point, its exact linear model and, with a controller whose signals are
-    late, exact delays; the modes of each are counted independently. key : a path of the case
-    (`machines.G1.exciter.KA`, `redispatch.G1:G2`), `controller.gain` (a factor on what was designed) or
+    Each value has its own operating point, its exact linear model and, with a controller with late
+    signals, exact delays; the modes of each are counted independently. key : a path of the case
+    (`machines.G1.exciter.KA`, `redispatch.G1:G2`), `controller.gain` (a factor on the designed gain) or
     `controller.latency_s`.
 
     Raises
     ------
-    LocusError : a key of the controller without one, or that it does not have.
-    CaseError : a path that is no number of the case, or a value that the case refuses.
+    LocusError : a key of the controller without a controller, or an unknown key.
+    CaseError : a path that is not a number of the case, or a value that the case rejects.
     """
     from .cosim.run.artefacts import sparse_linear_plant
     from .design.delay.late_plant import LatePlant
@@ -116,7 +116,7 @@ def save_locus(locus: Locus, case: Case, folder: Path) -> list[Path]:
     Raises
     ------
     DestinationError : a folder that cannot be written.
-    UserError : a plant of more states than dense matrices are made of.
+    UserError : a plant with too many states for dense matrices.
     """
     import csv
     import io

@@ -1,4 +1,4 @@
-"""How long work speaks: bars on a terminal and in a notebook, lines elsewhere; one call for each of them."""
+"""Progress of long work: bars on a terminal and in a notebook, lines elsewhere."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _DRAWN_S, _FIRST_S = 0.2, 0.5  #: between two pictures of a notebook's bars; bef
 
 
 class Report(Protocol):
-    """Tells that the share `done` (0 to 1) of a stage is done, and in words where it stands."""
+    """Reports the completed share `done` (0 to 1) of a stage, and its state as text."""
 
     def __call__(self, stage: str, done: float, text: str = "") -> None: ...
 

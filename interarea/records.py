@@ -33,21 +33,21 @@ def meter(
     quantity: str | None = None,
     channels: Sequence[str] = (),
 ) -> Meter:
-    """Return what swings in a record, how damped it is, and whether it is forced.
+    """Return the oscillations of a record, their damping, and whether they are forced.
 
     As the command ``interarea meter`` does.
 
     Parameters
     ----------
     record : a `Record`, or what `read_record` takes.
-    case : whose modes give the swings their names: a `Case`, a bundled name or a file.
+    case : its modes name the swings: a `Case`, a bundled name or a file.
     beside : a record without the controller that `record` has: the result also has `differences` of the
         damping ratios with intervals, a `sentence` on them, and `beside`, the result of that record.
-    band_hz : frequencies that are looked at, Hz. quantity, channels : what is looked at.
+    band_hz : frequency band, Hz. quantity, channels : what is analysed.
 
     Raises
     ------
-    UserError : nothing that swings, records too short, or the same record twice.
+    UserError : no oscillation, records too short, or the same record twice.
     """
     grid = None if case is None else case_like(case)
     frequency_hz = 60.0 if grid is None else grid.frequency_hz
@@ -76,13 +76,13 @@ def damping_trend(
 
     Parameters
     ----------
-    record : a path or a DataFrame. every_s : length of a part, s; what is left at the end is one too.
-    window_s : parts that do not lie within are left out, s. units : as `read_record` takes them.
+    record : a path or a DataFrame. every_s : length of a part, s; the remainder at the end is also a part.
+    window_s : parts outside are omitted, s. units : as `read_record` takes them.
     case, band_hz, quantity, channels : as `meter` takes them.
 
     Raises
     ------
-    UserError : another kind of file, or no part of it can be metered; the first reason is said.
+    UserError : another kind of file, or no part can be metered, with the first reason.
     """
     grid = None if case is None else case_like(case)
     frequency_hz = 60.0 if grid is None else grid.frequency_hz
@@ -117,16 +117,16 @@ def fit(
     *,
     rest_s: float = 0.5,
 ) -> Fit:
-    """Play a record's voltage and angle into a machine alone with its controls; fit parameters to P and Q.
+    """Apply a record's voltage and angle to a single machine with its controls; fit parameters to P and Q.
 
     As the command ``interarea fit`` does.
 
     Parameters
     ----------
     record : a `Record`, or what `read_record` takes.
-    case, machine : where the machine stands. parameters : such as ``H``, ``exciter.KA``, six at most; none:
-        it is only played in. Those that the record does not show are named in `kept_as_is`.
-    rest_s : how long the record is at rest at its start.
+    case, machine : the machine in its case. parameters : such as ``H``, ``exciter.KA``, six at most; none:
+        no fit. `kept_as_is` names those that the record does not determine.
+    rest_s : duration of the steady state at the start of the record, s.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What the front door returns: a line where it is printed, a table in a notebook, a DataFrame, a figure."""
+"""Results of the public functions: one line as text, a table in a notebook, a DataFrame, a figure."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ class SwingModes(Modes):
     def plot(self, mode: str = "") -> Figure:
         """Draw the shape of a mode: speed of each machine, size and angle. Default: the inter-area mode.
 
-        On a map if the case has places of its buses, else as a compass.
+        On a map if the case has coordinates of its buses, else as a polar plot.
         """
         from interarea.cosim.plots.mode_map import shape_plot
 
@@ -141,9 +141,9 @@ class RankedLoops(LoopChoice):
 
 @dataclass(frozen=True, repr=False)
 class Certificate:
-    """What a controller holds: `ok`, `rows` as a DataFrame, `violations`; `record` has everything.
+    """Certificate of a controller: `ok`, `rows` as a DataFrame, `violations`; `record` has everything.
 
-    A controller is judged over a family of operating points, losses and latencies; a bank of controllers
+    A controller is certified for a family of operating points, losses and latencies; a bank of controllers
     for every sequence of losses and returns.
     """
 
@@ -154,12 +154,12 @@ class Certificate:
 
     @property
     def ok(self) -> bool:
-        """Whether all that was asked is held."""
+        """Whether all requirements are met."""
         return not self.violations
 
     @property
     def violations(self) -> tuple[str, ...]:
-        """What is missed, a line each."""
+        """Violated requirements, one line each."""
         from interarea.design.robust.operating_points import FamilyCertificate
 
         if isinstance(self.record, FamilyCertificate):
@@ -169,7 +169,7 @@ class Certificate:
 
     @property
     def worth(self) -> str:
-        """What the signals from other machines are worth, in a sentence; empty where it was not measured."""
+        """Worth of the signals from other machines, a sentence; empty if not computed."""
         result = getattr(self.record, "worth", None)
         return "" if result is None else str(result["sentence"])
 
@@ -228,7 +228,7 @@ class Certificate:
 class Comparison:
     """One scenario with several controllers (`compare`): `runs` by name, `roots` over latency, `worth`.
 
-    worth : controller -> what its signals from other machines are worth in the linear loop, in a sentence.
+    worth : controller -> worth of its signals from other machines in the linear loop, a sentence.
     """
 
     scenario: Scenario
@@ -259,7 +259,7 @@ class Comparison:
         }
 
     def plot(self) -> Figure:
-        """Draw the swing that runs are judged by with each controller, and what the controllers put out."""
+        """Draw the swing of the verdict and the controller outputs, for each controller."""
         from interarea.cosim.run.compare import curves_figure
 
         return curves_figure(self.compared)
@@ -291,7 +291,7 @@ class Comparison:
 
 @dataclass(frozen=True, repr=False)
 class SweepResults:
-    """The results of a sweep in their folder: `to_frame()` has a row for each run that is there."""
+    """The results of a sweep in their folder: `to_frame()` has a row for each run with a result."""
 
     folder: Path
 
@@ -305,7 +305,7 @@ class SweepResults:
         return read_rows(self.folder)
 
     def trajectory(self, run: int) -> pd.DataFrame | None:
-        """Return the trajectory of a run, None where it was not kept."""
+        """Return the trajectory of a run, None if it was not stored."""
         return read_trajectory(self.folder, run)
 
     def plot(self) -> Figure:
@@ -327,8 +327,8 @@ class SweepResults:
     ) -> Path:
         """Write the page of all maps, margins and worst runs; default ``maps.html`` in the folder.
 
-        workers : processes that search margins; default one for each core. progress : called with the step
-        that is under way and the share of it that is done; without it a notebook shows bars.
+        workers : processes that search margins; default one for each core. progress : called with the current
+        step and its completed share; without it a notebook shows bars.
         """
         from interarea.cosim.maps.page import STEPS, write_maps
 

@@ -36,7 +36,7 @@ class Channel(ChannelTable):
 
     Raises
     ------
-    UserError : a key or value that a channel does not take.
+    UserError : an unknown key or an invalid value.
 
     Examples
     --------
@@ -66,14 +66,14 @@ def simulate(
     Parameters
     ----------
     scenario : TOML file, bundled name (``interarea list``), or a dict of the same keys.
-    case : instead of the scenario's: a `Case`, a bundled name or a file.
-    controller : instead of the scenario's: an object, a `control.StateSpace` (u = +K y; inputs named by
+    case : replaces the case of the scenario: a `Case`, a bundled name or a file.
+    controller : replaces that of the scenario: an object, a `control.StateSpace` (u = +K y; inputs named by
         signal, speeds in rad/s; outputs by actuator, pu), a name (``"none"``: none), a JSON file or any FMU.
     progress : called with (present time, stop time), s; without it a notebook shows a bar.
 
     Raises
     ------
-    UserError : a mistake in the scenario. StepError : an FMU failed; has the trajectory so far.
+    UserError : an error in the scenario. StepError : an FMU failed; has the trajectory so far.
 
     Examples
     --------
@@ -119,19 +119,19 @@ def compare(
     case: Case | str | Path | None = None,
     progress: Callable[[str, float], object] | None = None,
 ) -> Comparison:
-    """Run one scenario with several controllers, and follow the roots of each loop over latency.
+    """Run one scenario with several controllers, and track the roots of each loop over latency.
 
     As the command ``interarea compare`` does.
 
     Parameters
     ----------
-    controllers : each as `simulate` takes it, ``"none"`` too.
-    scenario, case : as `simulate` takes them.
-    progress : called with the controller and the share of it that is done; without it a notebook shows bars.
+    controllers : each as in `simulate`, also ``"none"``.
+    scenario, case : as in `simulate`.
+    progress : called with the controller and the completed share; without it a notebook shows bars.
 
     Raises
     ------
-    UserError : a mistake in the scenario or in a controller, a name given twice. StepError : an FMU failed.
+    UserError : an error in the scenario or in a controller, a name given twice. StepError : an FMU failed.
 
     Examples
     --------
@@ -175,7 +175,7 @@ def sweep(
     large: bool = False,
     progress: Callable[[Progress], object] | None = None,
 ) -> SweepResults:
-    """Run a scenario over many parameters; what is in `out` already is not run again.
+    """Run a scenario over many parameters; runs with results in `out` are not repeated.
 
     Parameters
     ----------
@@ -183,11 +183,11 @@ def sweep(
     out : folder of the results.
     workers : processes; default one for each core. scheduler : address of a dask scheduler instead.
     large : confirm a very large number of runs.
-    progress : called with where the sweep stands; without it a notebook shows a bar.
+    progress : called with the progress of the sweep; without it a notebook shows a bar.
 
     Raises
     ------
-    UserError : a mistake in the sweep, or `out` holds another one.
+    UserError : an error in the sweep, or `out` contains another sweep.
 
     Examples
     --------
@@ -216,7 +216,7 @@ def read_sweep(folder: str | Path) -> SweepResults:
 
     Raises
     ------
-    UserError : no results there.
+    UserError : no results in the folder.
 
     Examples
     --------

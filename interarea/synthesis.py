@@ -1,4 +1,4 @@
-"""Public functions on controllers: design one, load one, recompute what it holds."""
+"""Public functions on controllers: design, load, certify."""
 
 from __future__ import annotations
 
@@ -44,18 +44,18 @@ def design_controller(
 ) -> Controller:
     """Design a fixed-order controller for a family of operating points, losses and latencies.
 
-    Its `certificate` is on full linear plants with exact latency and says whether what was asked is held.
+    Its `certificate` is computed on full linear plants with exact latency and lists violated requirements.
 
     Parameters
     ----------
     spec : design file, bundled name (``interarea list``), or the keys of such a file.
-    case : another case than the design's.
-    progress : called with the step that is under way, the share of it that is done, and in words what the
-        search has reached; without it a notebook shows bars.
+    case : replaces the case of the design.
+    progress : called with the current step, its completed share, and the result of the search so far as
+        text; without it a notebook shows bars.
 
     Raises
     ------
-    UserError : a mistake in the design. InfeasibleDesign : a mode out of reach, or no stable start.
+    UserError : an error in the design. InfeasibleDesign : a fixed mode, or no stable start.
 
     Examples
     --------
@@ -92,11 +92,11 @@ def load_controller(
 ) -> Controller | ControllerBank:
     """Return a controller: bundled (``interarea list``), from a JSON file, or read back from its FMU.
 
-    case : for which wdc, cc and ftc are designed; its base speed is that of an FMU.
+    case : for which wdc, cc and ftc are designed; it defines the base speed of an FMU.
 
     Raises
     ------
-    UserError : no such controller, or a file of something else.
+    UserError : no such controller, or a file of another kind.
 
     Examples
     --------
@@ -106,7 +106,7 @@ def load_controller(
     controller = controller_of(name, case_like(case), default_cache())
     if controller is None:
         raise ScenarioError(
-            "controller 'none' is no controller, allowed: what `interarea list` names, or a file"
+            "controller 'none' is not a controller, allowed: what `interarea list` names, or a file"
         )
     return controller
 
@@ -131,20 +131,20 @@ def certify(
     conditions: Sequence[str] = (),
     progress: Callable[[str, float], object] | None = None,
 ) -> Certificate:
-    """Recompute what a controller holds, on full linear plants with exact latency.
+    """Recompute the certificate of a controller on full linear plants with exact latency.
 
-    A controller is judged by the design in its own record. Without one it must be stable on the case as it
-    is: every signal there, each lost in turn, all 0 to 200 ms late. A bank of controllers is judged for every
-    sequence of losses and returns.
+    A controller is certified by the design in its record. Without a design it must be stable on the
+    unchanged case: with all signals, with each lost in turn, with all 0 to 200 ms late. A bank of
+    controllers is certified for every sequence of losses and returns.
 
     Parameters
     ----------
     controller : object, `control.StateSpace` (u = +K y, speeds in rad/s, actuators in pu), name, JSON or FMU.
-    case : another case than the design's.
-    spec : design (file, bundled name, keys) that judges instead.
-    conditions : under which the controller must be stable on the case as it is, instead of any design; codes
-        as those of a design file, such as ``["N", "s100", "L:G2_dw"]``.
-    progress : called with the step that is under way and the share of it that is done; without it a
+    case : replaces the case of the design.
+    spec : replaces the design of the record (file, bundled name, keys).
+    conditions : replace the design: the controller must be stable under them on the unchanged case; codes
+        of a design file, such as ``["N", "s100", "L:G2_dw"]``.
+    progress : called with the current step and its completed share; without it a
         notebook shows bars.
 
     Raises
@@ -183,7 +183,7 @@ def judged_and_design(
     """
     table = None if spec is None else _table(spec, case)
     if table is not None and conditions:
-        raise ScenarioError(f"conditions beside the design {table.name}, allowed: one of them")
+        raise ScenarioError(f"conditions and the design {table.name}, allowed: one of them")
     grid = table.grid if table is not None else case_like("two-area-thesis" if case is None else case)
     judged = controller_like(controller, grid)
     own = specification_of(judged) if table is None and not conditions else None

@@ -213,9 +213,7 @@ def _events(subject: Subject) -> dict[str, Any]:
     if case.events:
         from ..errors import ScenarioError
 
-        raise ScenarioError(
-            f"{case.name}: the case has events of its own, such as relays; allowed on a page: none"
-        )
+        raise ScenarioError(f"{case.name}: the case has events, such as relays; allowed on a page: none")
 
     def targets(tables: list[dict[str, Any]]) -> list[dict[str, Any]]:
         places = []
@@ -255,7 +253,7 @@ def _given_events(subject: Subject) -> dict[str, Any]:
     events = subject.scenario.event
     if slot_count(events) > SLOTS:
         raise ScenarioError(
-            f"{subject.scenario.name}: {len(events)} events, allowed on a page: {SLOTS}; take some out"
+            f"{subject.scenario.name}: {len(events)} events, allowed on a page: {SLOTS}; remove some"
         )
     return {
         "parameters": {f"plant.{k}": v for k, v in event_parameters(subject.case, events).items()},

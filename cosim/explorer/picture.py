@@ -44,4 +44,4 @@ def _rounded(value: float) -> str:
 
 
 def _sentence(run: Run) -> str:
-    return f"As the page starts: {run.summary}."
+    return f"Initial run: {run.summary}."

@@ -191,16 +191,17 @@ def subject_of(
 def _of_scenario(scenario: Scenario, cache: Path) -> Subject:
     if not scenario.case:
         raise ScenarioError(
-            f"{scenario.name}: case is missing; a page holds the C of this package, not FMUs of others"
+            f"{scenario.name}: case is missing; a page contains the C code of this package, not "
+            "third-party FMUs"
         )
     if parts := [n for n in ("concentrators", "detector", "fmus", "connections") if getattr(scenario, n)]:
         raise ScenarioError(
-            f"{scenario.name}: {', '.join(parts)}: a page holds one plant, one controller and a channel for "
-            "each of its signals; take these out, or run the scenario with `interarea run`"
+            f"{scenario.name}: {', '.join(parts)}: a page contains one plant, one controller and "
+            "a channel for each of its signals; remove these, or run the scenario with `interarea run`"
         )
     if any(path.pmu for path in scenario.signals):
         raise ScenarioError(
-            f"{scenario.name}: a page holds no PMU; take it out, or run the scenario with `interarea run`"
+            f"{scenario.name}: a page contains no PMU; remove it, or run the scenario with `interarea run`"
         )
     return Subject(scenario, load_case(scenario.case_path), cache)
 

@@ -186,7 +186,7 @@ def certified_margin(
     if isinstance(controller, ControllerBank):
         raise ValueError("a bank has no single certified margin: see its switching certificate")
     if controller is None:
-        raise ValueError("there is no controller, so no loop that latency could upset")
+        raise ValueError("no controller, so no loop with latency")
     case, path = runner.plant_of(start)
     with open_plant(path) as plant:
         system = speeds_in_rad(remove_reference(linearise(plant)), case.omega_b)

@@ -189,7 +189,7 @@ def first_figure(sweep: Sweep, rows: pd.DataFrame) -> Figure:
     """
     drawn = _draw(sweep, rows, [], [])
     if not drawn:
-        raise SweepError(f"{sweep.name}: no parameter has two numbers or more, so there is nothing to draw")
+        raise SweepError(f"{sweep.name}: no parameter has two numbers or more, so no map can be drawn")
     return next(iter(drawn.values()))
 
 

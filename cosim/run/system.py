@@ -142,9 +142,7 @@ class System:
         if isinstance(controller, str | Path) and Path(controller).suffix == ".fmu":
             return self.put(Instance(name, self.fmus.open(Path(controller))))
         if not self.plants:
-            raise ScenarioError(
-                f"{name}: add the plant first; its case defines the base speed of the controller"
-            )
+            raise ScenarioError(f"{name}: add the plant first; its case has the base speed of the loop")
         case = next(reversed(self.plants.values()))
         loaded = controller_of(controller, case, self.fmus.cache)
         if loaded is None:

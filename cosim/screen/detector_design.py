@@ -145,7 +145,7 @@ def _curves(
                 missing = [s for s in signals if f"plant.{s}" not in data.units]
                 if missing:
                     raise DetectorDesignError(
-                        f"detector: {', '.join(missing)} is no output of the plant {case.name}"
+                        f"detector: {', '.join(missing)} is not an output of the plant {case.name}"
                     )
                 time = np.asarray(data.time_s)
                 curves = [np.interp(stamps, time, data[f"plant.{s}"]) for s in signals]
@@ -166,10 +166,10 @@ def main(words: Sequence[str] | None = None) -> int:
         print(*error.args, sep="\n", file=sys.stderr)
         return 2
     print(
-        f"{design.save(options.out)}: {design.patterns.basis.shape[2]} directions, made of {design.made_of} "
-        f"runs; largest score of right signals in "
-        f"{design.judged_by} others {design.largest:.2f}, threshold {design.patterns.threshold:.2f}; a "
-        f"signal may span {design.patterns.alone:.2f} times as much as the others"
+        f"{design.save(options.out)}: {design.patterns.basis.shape[2]} directions, computed from "
+        f"{design.made_of} runs; largest score of correct signals in {design.judged_by} others "
+        f"{design.largest:.2f}, threshold {design.patterns.threshold:.2f}; a signal may span "
+        f"{design.patterns.alone:.2f} times as much as the others"
     )
     return 0
 

@@ -175,7 +175,7 @@ def run_screening(
     SweepError, ScenarioError, CaseError : see `Screening.sweep`; clearing times of trips.
     """
     if clearing and screening.kind == "trip":
-        raise SweepError("clearing times are of faults; allowed with a screening of trips: none")
+        raise SweepError("clearing times need faults; not allowed with a screening of trips")
     options: dict[str, Any] = {
         "workers": workers,
         "scheduler": scheduler,

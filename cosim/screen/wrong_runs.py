@@ -101,7 +101,7 @@ def signals_of(case: Case, controller: Judged, compared: Sequence[str] = ()) -> 
     latency_s_of = {s: 0.0 if s in own else REMOTE_S for s in controller.inputs if s in speeds}
     if not latency_s_of:
         raise ScenarioError(
-            f"{controller.name}: it sees {', '.join(controller.inputs)}, allowed: a controller with "
+            f"{controller.name}: its inputs are {', '.join(controller.inputs)}, allowed: a controller with "
             f"the speed of a machine of {case.name} among its signals"
         )
     if compared:
@@ -117,8 +117,8 @@ def _witnesses(name: str, latency_s_of: Mapping[str, float], compared: Sequence[
     missing = [s for s in latency_s_of if s not in compared]
     if missing:
         raise ScenarioError(
-            f"{name}: the detector compares {', '.join(compared)} and not {', '.join(missing)}, allowed: one "
-            "designed for every speed that the controller sees"
+            f"{name}: the detector has {', '.join(compared)} but not {', '.join(missing)}, allowed: one "
+            "designed for all speeds of the controller"
         )
     return {s: WITNESS_S for s in compared if s not in latency_s_of}
 

@@ -70,7 +70,7 @@ def study_wrong_signals(
 
     def written() -> dict[str, Any]:
         study = {
-            "title": "What a wrong signal does, with and without a detector",
+            "title": "Effect of a wrong signal, with and without a detector",
             "command": command,
             "controllers": done,
             "times_s": {"disturbance": START_S, "wrong_from": WRONG_S, "stop": STOP_S, "long": LONG_S},
@@ -201,13 +201,15 @@ def _conclusion(certificate: Mapping[str, Any], counts: Mapping[str, Any]) -> st
     alone, watched, runs = counts["alone"], counts["watched"], counts["runs_of_each"]
     words = f"of {runs} runs with one wrong signal "
     words += f"{alone['lost']} lose synchronism and {alone['swinging']} keep swinging without a detector, "
-    words += f"{watched['lost']} and {watched['swinging']} with one"
+    words += f"{watched['lost']} and {watched['swinging']} with a detector"
     every, right = certificate["isolated"], certificate["rightly"]
-    words += f", in {certificate['stops']} of these all signals taken out"
+    words += f", in {certificate['stops']} of these runs all signals were isolated"
     words += f"; of {every} isolated signals {right} were the wrong one"
     if counts["least_left"] is None:
         return f"{words}; with one of its signals isolated the linear loop is unstable"
-    return f"{words}; with one signal isolated {counts['least_left']:.3f} of inter-area damping is left"
+    return (
+        f"{words}; with one signal isolated the least inter-area damping ratio is {counts['least_left']:.3f}"
+    )
 
 
 def _write(study: Mapping[str, Any], out: Path) -> None:

@@ -114,7 +114,7 @@ def _require_memory(plan: SweepPlan, workers: int, runs: int, cache: Path) -> No
         workers * each,
         f"{plan.sweep.name}: {workers} workers with up to {beside} plants of {case.name} at once "
         f"({len(case.buses)} buses)",
-        f"ask for fewer workers: one needs {each / MIB:.0f} MiB",
+        f"use fewer workers: one needs {each / MIB:.0f} MiB",
     )
 
 

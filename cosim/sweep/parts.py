@@ -63,9 +63,7 @@ def check_part(path: Path) -> None:
     """Raise SweepError when a part is not what its name says was written."""
     require_regular(path, "a part of a sweep's results", SweepError)
     if path.stem.split("-")[2:] != [_checksum(path)]:
-        raise SweepError(
-            f"{path}: is damaged; give the command of the sweep again, which does its runs again"
-        )
+        raise SweepError(f"{path}: is damaged; repeat the command of the sweep, which repeats its runs")
 
 
 def _checksum(path: Path) -> str:
@@ -106,7 +104,7 @@ def read_plan(folder: Path) -> SweepPlan:
         return plan_of_document(read_json(folder / "sweep.json"))
     except FileNotFoundError as error:
         name = Path(str(error.filename)).name
-        raise SweepError(f"{folder}: no results of a sweep here ({name} is missing)") from None
+        raise SweepError(f"{folder}: no results of a sweep ({name} is missing)") from None
     except (json.JSONDecodeError, UnicodeDecodeError, KeyError, TypeError, AttributeError) as error:
         raise SweepError(f"{folder}: manifest.json or sweep.json is damaged ({error})") from None
 
@@ -120,7 +118,7 @@ def read_rows(folder: Path) -> pd.DataFrame:
     """
     parts = parts_of(folder)
     if not parts:
-        raise SweepError(f"{folder}: no finished runs here")
+        raise SweepError(f"{folder}: no finished runs")
     try:
         for part in parts:
             check_part(part)

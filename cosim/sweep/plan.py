@@ -187,7 +187,7 @@ def own_fmu(cache: Path, key: str) -> Path:
     """
     path = cache / "own" / f"{key}.fmu"
     if not is_whole(path):
-        raise SweepError(f"{path}: the copy of an FMU is not what was written; run the same command again")
+        raise SweepError(f"{path}: the copy of an FMU is damaged; run the same command again")
     return path
 
 
@@ -228,7 +228,7 @@ def _listed(sweep: Sweep, root: str) -> list[str]:
             values = p.values if p.values is not None else drawn
             if values is None or not all(isinstance(v, str) for v in values):
                 raise SweepError(
-                    f'{sweep.name}: parameters.{name}: {root} takes names, allowed: values = ["..."]'
+                    f'{sweep.name}: parameters.{name}: {root} needs names, allowed: values = ["..."]'
                 )
             return [str(v) for v in values]
     return []

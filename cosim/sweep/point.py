@@ -190,14 +190,14 @@ def check_paths(sweep: Sweep, case: Case, controller_parameters: set[str]) -> No
 def _check_path(sweep: Sweep, case: Case, parameters: set[str], words: Path_, where: str) -> None:
     root, rest = words[0], words[1:]
     if root not in _ROOTS:
-        raise SweepError(f"{where}: {root!r} is nothing that can be varied; {nearest(root, _ROOTS)}")
+        raise SweepError(f"{where}: {root!r} cannot be varied; {nearest(root, _ROOTS)}")
     if root == "controller":
         _check_controller(parameters, rest, where)
     elif root == "case":
         _check_case(case, rest, where)
     elif root in ("seed", "stop_s", "step_s"):
         if rest:
-            raise SweepError(f"{where}: {root} has no entries of its own")
+            raise SweepError(f"{where}: {root} has no entries")
     else:
         checks = {
             "channels": _check_channel,
@@ -217,7 +217,7 @@ def _check_channel(base: Scenario, rest: Path_, where: str) -> None:
     if rest[1] == "signal_faults" and len(rest) > 2:
         _check_fault(base.channels[rest[0]].signal_faults, "channels", rest[:2], rest[2:], where)
     elif len(rest) > 2 and rest[1] not in ("loss", "latency"):
-        raise SweepError(f"{where}: {rest[1]} has no entries of its own")
+        raise SweepError(f"{where}: {rest[1]} has no entries")
 
 
 def _check_concentrator(base: Scenario, rest: Path_, where: str) -> None:
@@ -235,9 +235,9 @@ def _check_concentrator(base: Scenario, rest: Path_, where: str) -> None:
         if rest[3] == "signal_faults" and len(rest) > 4:
             _check_fault(signals[int(rest[2]) - 1].signal_faults, "concentrators", rest[:4], rest[4:], where)
         elif len(rest) > 4:
-            raise SweepError(f"{where}: {rest[3]} has no entries of its own")
+            raise SweepError(f"{where}: {rest[3]} has no entries")
     elif len(rest) > 2:
-        raise SweepError(f"{where}: {rest[1]} has no entries of its own")
+        raise SweepError(f"{where}: {rest[1]} has no entries")
 
 
 def _check_fault(faults: Sequence[SignalFault], root: str, owner: Path_, rest: Path_, where: str) -> None:

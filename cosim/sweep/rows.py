@@ -40,7 +40,11 @@ _COLUMNS = {
 Row = dict[str, Any]
 #: column of `SYNCHRONISM` -> type, unit, meaning
 _DEVIATION = {
-    "synchronous": (pa.bool_(), "", "no two machines or voltage sources came half a turn apart"),
+    "synchronous": (
+        pa.bool_(),
+        "",
+        "the angle between any two machines or voltage sources stays below 180 deg",
+    ),
     "angle_deg": (pa.float64(), "deg", "largest angle between two machines or voltage sources"),
     "voltage_pu": (pa.float64(), "pu", "lowest voltage after the last event"),
     "voltage_at": (pa.string(), "", "where that is"),
@@ -99,7 +103,7 @@ def _measured_fields(plan: SweepPlan, signal: str) -> list[pa.Field]:
     """Return the columns of what is measured; `signal` names the speed difference."""
     requested, fields = plan.sweep.metrics, []
     if "least" in requested:
-        text = "of everything that swings, the least damped"
+        text = "the least damped mode"
         fields += [
             _field("damping_least", pa.float64(), "1", f"damping ratio {text}"),
             _field("frequency_least", pa.float64(), "Hz", f"frequency {text}"),
@@ -110,13 +114,15 @@ def _measured_fields(plan: SweepPlan, signal: str) -> list[pa.Field]:
                 "stable",
                 pa.bool_(),
                 "",
-                "the machines stay together and the swing falls: the first two verdicts",
+                "synchronism is kept and the swing decays: the first two verdicts",
             ),
             _field("verdict", pa.string(), "", f"{', '.join(VERDICTS)} or {NOT_JUDGED}; {RULE}"),
         ]
     for kind, unit in (("damping", "1"), ("frequency", "Hz")):
         if kind in requested:
-            text = f"{kind} of the mode: its root in the loop, else in the ring-down; null: it does not show"
+            text = (
+                f"{kind} of the mode: its root in the loop, else in the ring-down; null: it is not identified"
+            )
             fields += [_field(column_of_mode(kind, mode), pa.float64(), unit, text) for mode in plan.modes]
     for name, column, unit, text in (
         (

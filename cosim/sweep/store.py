@@ -205,7 +205,7 @@ class SweepStore:
                 part.unlink()
                 continue
             if np.any(self.done[runs]):
-                raise SweepError(f"{part}: has runs that another part has too; remove one of them")
+                raise SweepError(f"{part}: has runs that are also in another part; remove one of them")
             self.done[runs] = True
             retained.add(number)
         for number, part in curves.items():
@@ -265,7 +265,7 @@ def _check_alone(folder: Path) -> None:
     """Require a folder of a sweep, or one that holds nothing else."""
     if not (folder / "manifest.json").exists() and _anything(folder):
         raise SweepError(
-            f"{folder}: holds other files and no manifest.json, allowed: an empty folder, "
+            f"{folder}: contains other files and no manifest.json, allowed: an empty folder, "
             "or that of the same sweep"
         )
 
@@ -295,7 +295,7 @@ def _differences(old: Any, new: Any, place: tuple[str, ...]) -> Iterator[str]:
         for key in sorted({*old, *new}):
             yield from _differences(old.get(key), new.get(key), (*place, key))
     elif old != new:
-        yield f"{'.'.join(place)}: there {_short(old)}, here {_short(new)}"
+        yield f"{'.'.join(place)}: stored {_short(old)}, now {_short(new)}"
 
 
 def _short(value: Any) -> str:

@@ -62,9 +62,9 @@ def cache(
     if json_:
         return
     if check:
-        print(f"{bad} damaged: removed" if bad else "checked: every file is what was written")
+        print(f"{bad} damaged: removed" if bad else "checked: no file is damaged")
     if left:
-        print(f"{left} folders of processes that were killed: removed")
+        print(f"{left} folders of killed processes: removed")
     if freed:
         print(f"{freed / _MB:.1f} MB freed")
 

@@ -94,7 +94,7 @@ def design(
     if minutes is not None:
         from interarea.models.errors import UserError
 
-        raise UserError(f"--minutes: of a grid, not of the design {spec}; leave it out")
+        raise UserError(f"--minutes: an option for a grid, not for the design {spec}; leave it out")
     design_file(spec, also=case_names())  # before what takes seconds to load
     from interarea.cosim.designs.comparison import FIGURES, compare, save_comparison
     from interarea.cosim.designs.design_file import DESIGN_STEPS, load_design, run_design
@@ -299,7 +299,8 @@ def certify(
     loaded, table = _judged(controller, case, spec, conditions)
     if acceptance and table.acceptance is None:
         raise ScenarioError(
-            f"--acceptance: the design that judges {loaded.name} names no faults; give one that does (--spec)"
+            f"--acceptance: the design that judges {loaded.name} has no faults; give a design with "
+            "faults (--spec)"
         )
     if wrong_signals:
         certify_wrong(loaded, table, detector, json_=json_)
@@ -376,7 +377,7 @@ def _rival(table: DesignTable, controller: Controller, report: Callable[[str, fl
     if set(table.signals) != seen or set(table.actuators) != set(controller.outputs):
         raise UserError(
             f"--worth: {controller.name} sees {', '.join(controller.inputs)}, the design that judges it "
-            f"{', '.join(table.signals)}; give its own design with --spec"
+            f"{', '.join(table.signals)}; give the design of the controller with --spec"
         )
     name = "own-signal rival"
     rival = design_rival(
@@ -420,15 +421,15 @@ def _show(name: str, certified: FamilyCertificate, table: DesignTable) -> None:
     show_rows(name, certified.rows)
     _show_conditions(table)
     typer.echo(
-        "inter-area: least damped root in the band of the open loop's inter-area modes, of whatever mode; "
-        "above 400 states, and in `interarea run`, the modes themselves, followed from the open loop"
+        "inter-area: least damped root in the band of the open loop's inter-area modes, of any mode; "
+        "above 400 states, and in `interarea run`, the modes themselves, tracked from the open loop"
     )
     typer.echo(
         f"worst swing {certified.worst_swing:.4f}, inter-area {certified.inter_area:.4f}, "
         f"effort {certified.effort:.4f}, fastest pole {certified.fastest_pole:.1f} rad/s"
     )
     if certified.modes is not None:
-        typer.echo(f"nothing lost: {most_taken(certified.modes)}")
+        typer.echo(f"without loss of a signal: {most_taken(certified.modes)}")
     if certified.margins is not None:
         show_margins(certified.margins)
     for lost, gain in certified.loss_criterion.items():
@@ -437,7 +438,7 @@ def _show(name: str, certified: FamilyCertificate, table: DesignTable) -> None:
         typer.echo(drive_in_words(certified.drive, certified.predicted, certified.faults))
     for run in certified.faults:
         message = f"settled in {run['settled_s']:.1f} s" if run["synchronism"] else "SYNCHRONISM LOST"
-        typer.echo(f"fault at {run['point']}, {' and '.join(run['lost']) or 'nothing'} lost: {message}")
+        typer.echo(f"fault at {run['point']}, {' and '.join(run['lost']) or 'no signal'} lost: {message}")
     if certified.worth is not None:
         show_worth(certified.worth)
     if certified.acceptance is not None:
@@ -445,5 +446,5 @@ def _show(name: str, certified: FamilyCertificate, table: DesignTable) -> None:
     for violation in certified.violations:
         typer.echo(f"violated: {violation}")
     slips = any(not run["synchronism"] for run in certified.faults)
-    unasked = " what its design asks for; synchronism is not among it" if slips else ""
+    unasked = " the requirements of its design; synchronism is not one of them" if slips else ""
     typer.echo(f"passed{unasked}" if certified.passed else "does not pass")

@@ -23,7 +23,7 @@ def folder_for(path: Path, option: str = "--out", *, files: Iterable[str] = ()) 
     _require_room(path, path, option)
     for name in files:
         if (path / name).is_dir():
-            raise DestinationError(f"{option} {path}: {name} in it is a folder, wanted: a file or nothing")
+            raise DestinationError(f"{option} {path}: {name} in it is a folder, wanted: a file or no entry")
         _require_room(path / name, (path / name).parent, option)
     return path
 
@@ -38,7 +38,7 @@ def file_for(path: Path, option: str = "--out", *, suffix: str = "") -> Path:
     if path.is_dir():
         raise DestinationError(f"{option} {path}: is a folder, wanted: the name of a file")
     if path.exists() and not path.is_file():
-        raise DestinationError(f"{option} {path}: is no ordinary file, wanted: the name of a file")
+        raise DestinationError(f"{option} {path}: is not a regular file, wanted: the name of a file")
     _require_room(path, path.parent, option)
     if suffix and path.suffix.lower() != suffix:
         raise DestinationError(f"{option} {path}: suffix {path.suffix!r}, allowed: {suffix}")
@@ -49,13 +49,12 @@ def _require_room(path: Path, folder: Path, option: str) -> None:
     """Require that `folder`, or the nearest one above it that is there, is a folder that can be written."""
     if path.parts[:1] == ("~",):
         raise DestinationError(
-            f"{option} {path}: the shell has left the ~ as it is (it stands in quotes or behind =), "
-            "wanted: the path written out"
+            f"{option} {path}: the shell did not expand the ~ (in quotes or after =), wanted: the full path"
         )
     there = folder.absolute()
     while not there.exists():
         if there.is_symlink():
-            raise DestinationError(f"{option} {path}: {there} is a link to nothing, wanted: a folder")
+            raise DestinationError(f"{option} {path}: {there} is a broken link, wanted: a folder")
         there = there.parent
     if not there.is_dir():
         raise DestinationError(f"{option} {path}: {there} is a file, wanted: a folder")
@@ -63,11 +62,11 @@ def _require_room(path: Path, folder: Path, option: str) -> None:
         _try_to_write(there)
     except PermissionError:
         raise DestinationError(
-            f"{option} {path}: no permission to write in {there}, wanted: a place that you may write to"
+            f"{option} {path}: no permission to write in {there}, wanted: a folder with write permission"
         ) from None
     except OSError as error:
         raise DestinationError(
-            f"{option} {path}: nothing can be written in {there} ({error.strerror}), wanted: another place"
+            f"{option} {path}: nothing can be written in {there} ({error.strerror}), wanted: another folder"
         ) from None
 
 

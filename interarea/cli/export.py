@@ -122,7 +122,7 @@ def build(
 def _sample_s(given: float | None, dll: str | None) -> float:
     """Return the interval at which a DLL is called, s."""
     if given is not None and dll is None:
-        raise BuildError(f"--sample-time {given:g}: of a DLL alone, wanted: with --dll, or left out")
+        raise BuildError(f"--sample-time {given:g}: an option of a DLL; give --dll too, or omit it")
     return 0.001 if given is None else given
 
 
@@ -209,7 +209,7 @@ def container(
     if dll is None:
         tell_file(_written(write_container, ".fmu", scenario, out, platforms), json_)
     elif platforms is not None:
-        raise BuildError(f"--platforms {platforms}: of an FMU alone, wanted: without --dll, or left out")
+        raise BuildError(f"--platforms {platforms}: an option of an FMU; omit --dll or this option")
     else:
         tell_file(_written(write_chain, suffix_of(dll), scenario, out, None), json_)
 

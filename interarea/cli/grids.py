@@ -106,7 +106,7 @@ def import_grid(
     imported = read_grid(grid, dyr, options)
     out.parent.mkdir(parents=True, exist_ok=True)
     export_toml(imported.case, out)
-    with busy(f"whether {imported.case.name} is stable at the equilibrium"):
+    with busy(f"eigenvalues of {imported.case.name}"):
         growth = growth_at_rest(imported.case, default_cache())
     if json_:
         verdict = {"growth": None if growth is None else growth.as_dict()}
@@ -115,7 +115,7 @@ def import_grid(
     typer.echo(out)
     typer.echo(imported.report.text(), err=True)
     if growth is not None:
-        typer.echo(f"at the equilibrium {growth.text}", err=True)
+        typer.echo(f"at the equilibrium: {growth.text}", err=True)
 
 
 def _pairs(given: list[str]) -> dict[str, str]:
@@ -206,9 +206,9 @@ def grid_of(name: str, dyr: Path | None = None) -> tuple[Case, list[str]] | None
     if imported.unrest:
         given = name if dyr is None else f"{name} --dyr {dyr}"
         raise CaseError(
-            f"{name}: {len(imported.unrest)} controls cannot rest (first: {imported.unrest[0]}); "
-            f"`interarea import {given} --release-limits --out grid.toml` widens their limits, "
-            "then give grid.toml in its place"
+            f"{name}: {len(imported.unrest)} controls have no equilibrium (first: {imported.unrest[0]}); "
+            f"`interarea import {given} --release-limits --out grid.toml` widens their limits, then give "
+            "grid.toml instead"
         )
     return imported.case, imported.report.text().splitlines()
 
@@ -225,7 +225,7 @@ def names_grid(name: str, dyr: Path | None = None) -> bool:
 
     if _is_case(name):
         if dyr is not None:
-            raise CaseError(f"--dyr {dyr}: goes with a RAW file, not with the case {name}")
+            raise CaseError(f"--dyr {dyr}: needs a RAW file, not the case {name}")
         return True
     suffixes = {suffix.lower() for suffix in Path(name).suffixes}
     if name not in PUBLISHED and not suffixes & {".raw", ".rawx", ".m"} and dyr is None:

@@ -134,7 +134,7 @@ def _print_designs(name: str, designs: Sequence[ShortDesign], latency_s: float) 
     from interarea.cosim.designs.short_designs import LATENCY_S
 
     print_table(
-        f"{name}: the same after a short design, least inter-area damping with nothing and everything "
+        f"{name}: the same after a short design, least inter-area damping with all signals 0 and "
         f"{latency_s or LATENCY_S:g} s late",
         ("actuators", "damping", "own speed alone", "score"),
         [

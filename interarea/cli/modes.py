@@ -153,7 +153,7 @@ def _locus(
     from interarea.models.files import together
 
     if along is None:
-        raise LocusError("--save writes what --along finds; give --along KEY=FROM:TO")
+        raise LocusError("--save writes the results of --along; give --along KEY=FROM:TO")
     key, values = along_of(along)
     _check_folders({"--save": save, "--plot": plot})
     controller, latency_s = (None, 0.0) if around is None else (_single(around[0]), around[1])
@@ -191,12 +191,10 @@ def _around(
 
     if controller is None:
         if latency_s:
-            raise ModeError(
-                f"--latency {latency_s:g} is of a controller's signals; name one with --controller"
-            )
+            raise ModeError(f"--latency {latency_s:g} needs a controller; name one with --controller")
         return None
     if sensitivity:
-        raise ModeError("--sensitivity with --controller: not together; leave one out")
+        raise ModeError("--sensitivity with --controller: cannot be combined; omit one")
     return controller, latency_s
 
 
@@ -214,7 +212,7 @@ def _refuse_beside(option: str, **provided: object) -> None:
 
     named = [f"--{name}" for name, value in provided.items() if value]
     if named:
-        raise ModeError(f"{named[0]} with {option}: not together; leave one out")
+        raise ModeError(f"{named[0]} with {option}: cannot be combined; omit one")
 
 
 def region_of(band: str | None, below: float | None) -> tuple[tuple[float, float], float]:
@@ -303,7 +301,7 @@ def _single(name: str) -> Controller:
 
     controller = load_controller(name)
     if not isinstance(controller, Controller):
-        raise ModeError(f"--controller {name}: a bank switches between controllers; name a single one")
+        raise ModeError(f"--controller {name}: a bank switches between controllers; name a single controller")
     return controller
 
 
@@ -352,7 +350,7 @@ def _print_modes(title: str, result: Mapping[str, Mode], count: int) -> None:
         if mode.caveat:
             typer.echo(mode.caveat)
     if not result:
-        typer.echo("no mode there; a machine alone has nothing to swing against, --band lists other modes")
+        typer.echo("no mode; a single machine has no swing mode, --band lists other modes")
 
 
 def _size_and_angle(entry: complex) -> str:

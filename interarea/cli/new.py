@@ -51,11 +51,11 @@ def new(
     source = there[kind]
     suffix = f".{source.name.split('.')[1]}"  # the name of a template of Python ends in .py.txt
     if out.suffix != suffix:
-        raise UserError(f"--out {out}: a {kind} is a {suffix} file, allowed: a name that ends so")
+        raise UserError(f"--out {out}: a {kind} is a {suffix} file, allowed: a name with this suffix")
     if file_for(out).exists():
-        raise UserError(f"--out {out}: is there already, allowed: a new file")
+        raise UserError(f"--out {out}: exists already, allowed: a new file")
     if dyr is not None and not grid:
-        raise UserError(f"--dyr {dyr}: no grid that it is of, wanted: `new study GRID --dyr FILE`")
+        raise UserError(f"--dyr {dyr}: needs its grid, wanted: `new study GRID --dyr FILE`")
     if grid:
         text = _grid_study(kind, grid, dyr, out)
     else:
@@ -75,7 +75,7 @@ def _grid_study(kind: str, grid: str, dyr: Path | None, out: Path) -> str:
     with busy(f"reading {grid}"):
         loaded = grid_of(grid, dyr) if kind == "study" else None
     if loaded is None:
-        raise UserError(f"new {kind} {grid}: no grid, allowed: `new study` and a case, .raw or .m file")
+        raise UserError(f"new {kind} {grid}: not a grid, allowed: `new study` and a case, .raw or .m file")
     from interarea.cosim.grid_study.choices import Choices, choices_text
     from interarea.cosim.grid_study.study import defaults_of
     from interarea.fmu_build.write.cache import default_cache
@@ -108,7 +108,7 @@ def show(
         return
     if not result:
         known = [*DESIGNED, *(n for rows in files.values() for n in rows)]
-        raise UserError(f"show {name}: nothing bundled has this name; {nearest(name, known)}")
+        raise UserError(f"show {name}: no bundled file has this name; {nearest(name, known)}")
     texts = [{"kind": k, "file": str(file), "text": read_text(file)} for k, file in result]
     if json_:
         typer.echo(json.dumps(texts, indent=2))

@@ -113,7 +113,7 @@ def _refuse_unused(options: Mapping[str, object]) -> None:
     """Refuse options about files where none is written."""
     for option, value in options.items():
         if value:
-            raise UsageMistake(f"run: {option} needs a folder for the results, wanted: --out DIR beside it")
+            raise UsageMistake(f"run: {option} needs a folder for the results, wanted: --out DIR")
 
 
 def _shown(scenario: Scenario, *, explain: bool, json_: bool) -> None:
@@ -123,7 +123,7 @@ def _shown(scenario: Scenario, *, explain: bool, json_: bool) -> None:
         result = _run(scenario, partial(report, stage))
     (note if json_ else typer.echo)(result.explain() if explain else f"{result.ledger}\n\n{result.packets}")
     _tell(scenario, result, [], json_)
-    note("nothing is written; --out DIR writes trajectory, metrics, ledger and a page")
+    note("no files written; --out DIR writes trajectory, metrics, ledger and a page")
 
 
 def _run(scenario: Scenario, tell: Callable[[float], object]) -> Result:
@@ -229,7 +229,7 @@ def _run_apart(scenario: Path, out: Path | None) -> int | None:
 
         end_with_parent(int(os.environ[_GUARDED]))
         return None
-    note(f"{', '.join(foreign)}: not built here, so the run has a process of its own, which it may crash")
+    note(f"{', '.join(foreign)}: third-party FMU, so the run has a separate process, which the FMU may crash")
     return _run_beside(foreign, out)
 
 

@@ -189,7 +189,7 @@ def _study_actuators(
     from interarea.models.errors import UserError
 
     if len(grids) > 1:
-        raise UserError(f"--grid {grids[1]}: the study actuators takes one grid; leave it out")
+        raise UserError(f"--grid {grids[1]}: the study actuators takes one grid; omit the second")
     _require_grids(grids)
     from interarea.cosim.actuator_study.study import (
         FILES,
@@ -247,7 +247,7 @@ def _check_options(study: str, given: Iterable[tuple[str, str]]) -> None:
         takers, remedy = _TAKERS.get(option, ((), _LEAVE_OUT))
         if takers and study not in takers:
             allowed = " or ".join(part for part in (", ".join(takers[:-1]), takers[-1]) if part)
-            raise UserError(f"{typed}: goes with the study {allowed}, not with {study}; {remedy}")
+            raise UserError(f"{typed}: belongs to the study {allowed}, not to {study}; {remedy}")
         if study in (refused := _REFUSED.get(option, {})):
             raise UserError(f"{typed}: not with the study {study}; {refused[study]}")
 
@@ -269,7 +269,7 @@ def _require_grids(names: Iterable[str]) -> None:
     for name in names:
         if not names_grid(name):
             allowed = f"a case file, .raw, .rawx, .m, or one of {', '.join(case_names())}"
-            raise UserError(f"--grid {name}: no grid, allowed: {allowed}")
+            raise UserError(f"--grid {name}: not a grid, allowed: {allowed}")
 
 
 def _show_study(
@@ -298,7 +298,9 @@ def _choices_of(name: str, dyr: Path | None, minutes: float | None) -> Choices:
         choices = Choices(grid=name, dyr=None if dyr is None else str(dyr))
     else:
         if dyr is not None:
-            raise UserError(f"--dyr {dyr}: the study {name} names its grid, allowed: dyr in it")
+            raise UserError(
+                f"--dyr {dyr}: the file of the study {name} names its grid, allowed: dyr in that file"
+            )
         choices = load_choices(file)
         there = {
             key: str(file.parent / value)

@@ -103,7 +103,7 @@ def _tell(summary: Mapping[str, Any]) -> None:
     typer.echo(
         f"{summary['runs']} runs: {summary['ok']} ok ({summary['stable']} stable, "
         f"{summary['unstable']} not), {summary['failed']} failed{f' ({failures})' if failures else ''}"
-        + (f"; {summary['forked']} went on from a saved state" if summary["forked"] else "")
+        + (f"; {summary['forked']} continued from a saved state" if summary["forked"] else "")
     )
 
 
@@ -111,7 +111,7 @@ def check_workers(workers: int | None, scheduler: str | None) -> None:
     """Refuse what cannot compute, before anything is begun."""
     if workers is not None and scheduler is not None:
         raise SweepError(
-            "--workers and --scheduler: the scheduler has workers of its own, allowed: one of the two"
+            "--workers and --scheduler: the scheduler has its own workers, allowed: one of the two"
         )
     if scheduler is not None and not _ADDRESS.fullmatch(scheduler):
         raise SweepError(
@@ -125,7 +125,7 @@ def _commonest(out: Path) -> str:
 
     rows = read_rows(out)
     reasons = rows.loc[rows.status == "failed", "reason"].value_counts()
-    return f"commonest reason, {reasons.iloc[0]} of {reasons.sum()}: {reasons.index[0]}"
+    return f"most frequent reason, {reasons.iloc[0]} of {reasons.sum()}: {reasons.index[0]}"
 
 
 def maps(
@@ -241,7 +241,7 @@ def screen(
 
     check_workers(workers, scheduler)
     if (bus and trips) or (branch and not trips):
-        raise SweepError("--bus is of faults and --branch of --trips, allowed: the one that fits")
+        raise SweepError("--bus belongs to faults and --branch to --trips, allowed: the matching one")
     pages = ("screen.json", "screen.csv", "screen.html", *(["explorer.html"] if explore else []))
     folder_for(out, files=pages)
     screening = Screening(
@@ -284,7 +284,7 @@ def _tell_losses(result: Sequence[Screened]) -> None:
         own = [one.verdict for one in result if one.controller == name]
         failed = f", {own.count('failed')} failed" if "failed" in own else ""
         swinging = sum(one.came_to in NO_SUCCESS for one in result if one.controller == name)
-        swings = f", {swinging} keep it with a swing that does not fall" if swinging else ""
+        swings = f", {swinging} keep synchronism with a swing that does not decay" if swinging else ""
         typer.echo(f"controller {name}: {own.count('lost')} of {len(own)} lose synchronism{swings}{failed}")
 
 
@@ -312,5 +312,5 @@ def sweeping(out: Path) -> Iterator[Callable[[Progress], None]]:
         try:
             yield partial(tell_runs, report)
         except KeyboardInterrupt:
-            print(f"the same command goes on with what is in {out}", file=sys.stderr)
+            print(f"the same command resumes from the results in {out}", file=sys.stderr)
             raise

@@ -238,7 +238,7 @@ def _of_the_cache(error: OSError) -> str:
 
     if error.filename is None or not Path(str(error.filename)).is_relative_to(default_cache()):
         return ""
-    return " (the cache of FMUs and designs; INTERAREA_CACHE names a folder for it that can be written)"
+    return " (the cache of FMUs and designs; set INTERAREA_CACHE to a writable folder)"
 
 
 def show_rows(name: str, rows: Sequence[FamilyRow]) -> None:

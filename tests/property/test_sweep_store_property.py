@@ -106,7 +106,7 @@ def test_a_spoilt_part_is_found_and_its_runs_are_done_again(
         changed = bytes(content) != part.read_bytes()
         part.write_bytes(bytes(content))
         if changed and kind == "runs":
-            with pytest.raises(SweepError, match="is damaged; give the command of the sweep again"):
+            with pytest.raises(SweepError, match="is damaged; repeat the command of the sweep"):
                 read_rows(folder)
         with SweepStore(folder, PLAN) as store:
             assert len(store.dropped) == changed
@@ -117,10 +117,10 @@ def test_a_spoilt_part_is_found_and_its_runs_are_done_again(
 @given(
     st.sampled_from(
         [
-            ({"seed": 5}, "sweep.seed: there 0, here 5"),
-            ({"name": "other"}, 'sweep.name: there "sweep", here "other"'),
-            ({"time_limit_s": 2.0}, "sweep.time_limit_s: there 60.0, here 2.0"),
-            ({"metrics": ["stable"]}, "sweep.metrics: there"),
+            ({"seed": 5}, "sweep.seed: stored 0, now 5"),
+            ({"name": "other"}, 'sweep.name: stored "sweep", now "other"'),
+            ({"time_limit_s": 2.0}, "sweep.time_limit_s: stored 60.0, now 2.0"),
+            ({"metrics": ["stable"]}, "sweep.metrics: stored"),
             ({"trajectories": {"keep": "none"}}, "sweep.trajectories.keep"),
             ({"parameters": {"stop": {"path": "stop_s", "values": [1.0]}}}, "sweep.parameters.size"),
         ]

@@ -166,7 +166,7 @@ def test_what_does_not_exist_is_refused(screening: Screening, why: str) -> None:
 
 
 def test_trips_have_no_clearing_times(tmp_path: Path) -> None:
-    with pytest.raises(SweepError, match="clearing times are of faults"):
+    with pytest.raises(SweepError, match="clearing times need faults"):
         module.run_screening(Screening(CASE, kind="trip"), tmp_path, clearing=True)
 
 

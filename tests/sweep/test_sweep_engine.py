@@ -87,9 +87,9 @@ def test_a_finished_sweep_is_not_run_again(document: Any, finished: Any, cache: 
 def test_another_specification_is_refused_with_the_difference(
     document: Any, finished: Any, cache: Path
 ) -> None:
-    with pytest.raises(SweepError, match=r"another specification \(sweep.seed: there 3, here 4\)"):
+    with pytest.raises(SweepError, match=r"another specification \(sweep.seed: stored 3, now 4\)"):
         run_sweep(document(seed=4), finished[0], cache=cache)
-    with pytest.raises(SweepError, match=r"scenario.stop_s: there 4.0, here 3.0"):
+    with pytest.raises(SweepError, match=r"scenario.stop_s: stored 4.0, now 3.0"):
         run_sweep(document({"stop_s": 3.0}), finished[0], cache=cache)
 
 
@@ -98,7 +98,7 @@ def test_another_version_is_refused(
 ) -> None:
     monkeypatch.setattr("interarea.cosim.sweep.plan.code_version", lambda: "0123456789abcdef")
     with pytest.raises(
-        SweepError, match=r"another version of the program \(version: there .*here .0123456789"
+        SweepError, match=r"another version of the program \(version: stored .*now .0123456789"
     ):
         run_sweep(document(), finished[0], cache=cache)
 

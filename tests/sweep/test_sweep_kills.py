@@ -120,7 +120,7 @@ def test_a_server_that_is_just_being_killed_is_waited_for(
     outcomes = sweep_local.local_outcomes(plan, range(3), **given)
     assert [o.row["run"] for some in outcomes for o in some] == [0, 1, 2]
     waited[:] = [-1e9]
-    with pytest.raises(SweepError, match="its server ends each time"):
+    with pytest.raises(SweepError, match="its server exits each time"):
         list(sweep_local.local_outcomes(plan, range(3), **given))
 
 
@@ -177,7 +177,7 @@ def test_two_processes_do_not_write_into_one_folder(plan: Any, tmp_path: Path) -
 
 def test_a_folder_with_other_files_is_left_alone(plan: Any, tmp_path: Path) -> None:
     (tmp_path / "letter.txt").write_text("dear")
-    with pytest.raises(SweepError, match="holds other files and no manifest"):
+    with pytest.raises(SweepError, match="contains other files and no manifest"):
         SweepStore(tmp_path, plan)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["letter.txt"]
 

@@ -93,5 +93,5 @@ def test_a_damaged_copy_of_an_own_fmu_is_refused_by_name(tmp_path: Path) -> None
     path = keep(tmp_path / "own" / "0123.fmu", b"archive")
     assert own_fmu(tmp_path, "0123") == path
     path.write_bytes(b"archivf")
-    with pytest.raises(SweepError, match=r"0123\.fmu: the copy of an FMU is not what was written"):
+    with pytest.raises(SweepError, match=r"0123\.fmu: the copy of an FMU is damaged"):
         own_fmu(tmp_path, "0123")

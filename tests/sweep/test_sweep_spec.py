@@ -135,7 +135,7 @@ def _p(**one: Any) -> dict[str, Any]:
         (_p(path="channels.remot.latency_s", values=[0.1]), r"'remot' is no channel; did you mean 'remote'"),
         (
             _p(path="chanels.remote.latency_s", values=[0.1]),
-            r"nothing that can be varied; did you mean 'channels'",
+            r"cannot be varied; did you mean 'channels'",
         ),
         (_p(path="event.2.size_pu", values=[0.1]), r"event.K.KEY with K from 1 to 1"),
         (_p(path="event.1.size", values=[0.1]), r"did you mean 'size_pu'"),
@@ -144,7 +144,7 @@ def _p(**one: Any) -> dict[str, Any]:
         (_p(path="case.tie_flow", values=[1.0]), r"did you mean 'tie_flow_mw'"),
         (_p(path="controller.limits", values=[1.0]), r"did you mean 'limit'"),
         (_p(path="master.inptus", values=["hermite"]), r"did you mean 'inputs'"),
-        (_p(values=[1.0]), r"'x' is nothing that can be varied"),
+        (_p(values=[1.0]), r"'x' cannot be varied"),
         (
             _p(path="channels.remote.loss.rate", values=[1.5]),
             r"the value 1.5 does not fit: .*rate = 1.5, allowed",
@@ -208,7 +208,7 @@ def _p(**one: Any) -> dict[str, Any]:
             r"bisect in a and b, allowed: in one parameter",
         ),
         (_p(path="controller", values=["nobody"]), r"neither a name nor a file"),
-        (_p(path="controller", range={"start": 0, "stop": 1, "count": 2}), r"controller takes names"),
+        (_p(path="controller", range={"start": 0, "stop": 1, "count": 2}), r"controller needs names"),
     ],
 )
 def test_a_mistake_is_refused_in_one_line(document: Any, cache: Path, change: Any, words: str) -> None:

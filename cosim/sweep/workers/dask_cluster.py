@@ -130,7 +130,7 @@ class _Cluster:
                 if isinstance(version, Exception):
                     raise SweepError(
                         f"worker {worker}: cannot load interarea ({_line(version)}); "
-                        "install there what is installed here"
+                        "install the same packages there"
                     )
                 if version != self.plan.version:
                     raise SweepError(
@@ -157,7 +157,7 @@ class _Cluster:
                     raise
                 if time.monotonic() > end:
                     raise SweepError(
-                        f"{error}; it was there before and stayed away {self.patience_s:g} s"
+                        f"{error}; it was connected before and has been away for {self.patience_s:g} s"
                     ) from None
                 time.sleep(1.0)
 

@@ -52,7 +52,7 @@ class _Worker:
                 break
             except (EOFError, ConnectionError):  # the server that forks was killed: there will be another
                 if pause_s is None:
-                    raise SweepError("no worker process can be started: its server ends each time") from None
+                    raise SweepError("no worker process can be started: its server exits each time") from None
                 time.sleep(pause_s)
             finally:
                 theirs.close()
@@ -170,7 +170,7 @@ class _Pool:
                 del worker.todo[run]
         elif in_progress and worker.overdue == in_progress:
             del worker.todo[in_progress[0]]
-            result.append(self._failed(in_progress[0], "time limit", "did not come back from an FMU's call"))
+            result.append(self._failed(in_progress[0], "time limit", "did not return from a call of an FMU"))
         elif in_progress:
             run = in_progress[0]
             killed = code == -signal.SIGKILL if hasattr(signal, "SIGKILL") else False

@@ -99,7 +99,8 @@ def _show_bank(
         return
     typer.echo(f"not covered: {missing}")
     typer.echo(
-        f"{bank.name} on {table.grid.name}: {result.kind}, {len(result.loops)} loops (active: what arrives)"
+        f"{bank.name} on {table.grid.name}: {result.kind}, {len(result.loops)} loops (active member: "
+        "signals that arrive)"
     )
     for loop in result.loops:
         typer.echo(f"  {loop}")
@@ -108,8 +109,8 @@ def _show_bank(
     else:
         typer.echo(
             f"every sequence of losses and returns decays at {result.decay_rate:.4f} 1/s or faster "
-            f"(slowest loop alone: {result.slowest:.4f} 1/s)"
+            f"(slowest single loop: {result.slowest:.4f} 1/s)"
         )
-    typer.echo("lost is what a channel marks as lost; a signal that is stuck or wrong is not detected")
+    typer.echo("a signal is lost if its channel marks it as lost; a stuck or wrong signal is not detected")
     known = (bank.certificate or {}).get("acceptance")
     typer.echo(in_words(faults) if faults is not None else f"on record: {in_words(known)}")

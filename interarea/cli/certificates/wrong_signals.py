@@ -26,11 +26,11 @@ def check_wrong_options(wrong_signals: bool, detector: Path | None, *, others: b
     from interarea.models.errors import UserError
 
     if detector is not None and not wrong_signals:
-        raise UserError("--detector: is of --wrong-signals, allowed: both or none")
+        raise UserError("--detector needs --wrong-signals, allowed: both or none")
     if wrong_signals and others:
         raise UserError(
-            "--wrong-signals: --acceptance, --worth, --out and --page are of the plain certificate, allowed: "
-            "one call for each"
+            "--wrong-signals: --acceptance, --worth, --out and --page belong to the plain certificate, "
+            "allowed: one call for each"
         )
 
 
@@ -69,7 +69,9 @@ def _show(certificate: WrongCertificate, place: FaultPlace) -> None:
     from interarea.cosim.screen.wrong_signals import HEADER
 
     late = ", ".join(f"{s} {1e3 * t:g} ms" for s, t in certificate.signals.items())
-    witnesses = f"; only compared: {', '.join(certificate.witnesses)}" if certificate.witnesses else ""
+    witnesses = (
+        f"; used for comparison only: {', '.join(certificate.witnesses)}" if certificate.witnesses else ""
+    )
     print_table(
         f"{certificate.controller} on {certificate.case}, wrong from {WRONG_S:g} s ({late}{witnesses})",
         HEADER,
@@ -77,7 +79,7 @@ def _show(certificate: WrongCertificate, place: FaultPlace) -> None:
     )
     disturbances = ", ".join(dict.fromkeys(r.disturbance for r in certificate.rows))
     points = " and ".join(dict.fromkeys(r.point for r in certificate.rows))
-    horizon = f"verdicts after {STOP_S:g} s, after {LONG_S:g} s where a run has not settled"
+    horizon = f"verdicts after {STOP_S:g} s, after {LONG_S:g} s if a run has not settled"
     typer.echo(f"each at {points} with {disturbances}; fault at {place}; {horizon}")
     print_table(
         "linear loop with a signal isolated",
@@ -89,7 +91,8 @@ def _show(certificate: WrongCertificate, place: FaultPlace) -> None:
     )
     every, right = certificate.isolations
     typer.echo(
-        f"isolated: {every} signals, of which {right} were wrong; all at once in {certificate.stops} runs"
+        f"isolated: {every} signals, of which {right} were wrong; all signals isolated in "
+        f"{certificate.stops} runs"
     )
     for line in certificate.violations[:_SHOWN]:
         typer.echo(f"violated: {line}")

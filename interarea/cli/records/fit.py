@@ -53,7 +53,7 @@ def fit(
     keys = [key.strip() for key in parameters.split(",")] if parameters else []
     from interarea.records import fit as fitted
 
-    with busy(f"{machine} beside {file.name}"):
+    with busy(f"{machine} compared with {file.name}"):
         result = fitted(record, grid, machine, keys, rest_s=rest)
     for line in result.notes[len(record.notes) :]:
         note(f"{file.name}: {line}")
@@ -75,9 +75,9 @@ def _print(result: Fit) -> None:
             )
             for p in result.parameters
         ]
-        title = f"{result.machine} by {result.source}; intervals of 95 %"
+        title = f"{result.machine} fitted to {result.source}; intervals of 95 %"
         print_table(title, ("parameter", "in the case", "fitted", "deviation", "interval"), rows)
     for name, why in result.kept_as_is.items():
         typer.echo(f"{name}: {why}")
     words = "; fitted: P {:.1%}, Q {:.1%}".format(*result.fitted) if result.parameters else ""
-    typer.echo("misfit over what moves: P {:.1%}, Q {:.1%}".format(*result.misfit) + words)
+    typer.echo("misfit relative to the variation: P {:.1%}, Q {:.1%}".format(*result.misfit) + words)

@@ -43,8 +43,8 @@ def locate(
     region = band_of(band)
     if band is not None and frequency is not None:
         raise UsageMistake(
-            f"locate: --band {band} with --frequency {frequency:g}: one says where to look, "
-            "the other where the oscillation is, allowed: one of them"
+            f"locate: --band {band} with --frequency {frequency:g}: the band is searched, the frequency "
+            "is given, allowed: one of them"
         )
     grid = case_named(case)
     record = opened(file, window, unit, grid.frequency_hz if grid else 60.0)

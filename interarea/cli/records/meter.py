@@ -113,7 +113,7 @@ def _trend(
     from interarea.records import damping_trend
 
     if beside is not None:
-        raise RecordError("--every and --beside: allowed: one of them; meter the two records by themselves")
+        raise RecordError("--every and --beside: allowed: one of them; meter each record separately")
     with busy(f"metering {file.name}"):
         result = damping_trend(
             file, grid, every_s=every_s, window_s=window_of(window), units=units_of(units), **looked_at
@@ -127,7 +127,7 @@ def _trend(
     for part in refused[:_REFUSED_SHOWN]:
         note(f"{_clock(result, part.start_s)}: {part.why}")
     if len(refused) > _REFUSED_SHOWN:
-        note(f"... and {len(refused) - _REFUSED_SHOWN} parts more that say nothing; --json has them")
+        note(f"... and {len(refused) - _REFUSED_SHOWN} more parts without a result; --json has them")
     shown = [t for t in result.tracks if len(t.swings) >= _OFTEN * len(result.parts) or t.forced]
     print_table(
         f"{result.source}: {len(result.parts)} parts of {result.every_s:g} s, {result.quantity}; "
@@ -136,7 +136,7 @@ def _trend(
         [_track_row(result, track) for track in shown],
     )
     if rare := len(result.tracks) - len(shown):
-        typer.echo(f"{rare} swings more, each in fewer than {_OFTEN:.0%} of the parts; --json has them")
+        typer.echo(f"{rare} more swings, each in fewer than {_OFTEN:.0%} of the parts; --json has them")
 
 
 def _track_row(result: Trend, track: Track) -> tuple[str, ...]:
@@ -183,7 +183,7 @@ def _print(result: Meter, case: str | None) -> None:
     rows = [row for swing in result.swings for row in _rows(swing, result.unit, case)]
     title = f"{result.source}: {result.length_s:g} s, {result.kind}, {result.quantity}; intervals of 95 %"
     if not rows:
-        typer.echo(f"{title}: nothing stands out")
+        typer.echo(f"{title}: no oscillation identified")
         return
     print_table(title, ("Hz", "kind", "damping ratio", "method", "rms", "mode", "shape, why"), rows)
 

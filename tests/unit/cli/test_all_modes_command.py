@@ -55,10 +55,13 @@ def test_modes_with_a_late_controller(interarea) -> None:  # type: ignore[no-unt
         (("--band", "low"), "--band 'low', wanted LOW:HIGH in Hz, such as 0.1:2.5"),
         (("--band", "2:1"), "band 2:1 Hz, wanted LOW:HIGH with 0 < LOW < HIGH"),
         (("--below", "20"), "below = 20, wanted a damping ratio over 0 and under 1"),
-        (("--below", "0.2", "--margins"), "--margins with --band, --below or --controller: not together"),
+        (
+            ("--below", "0.2", "--margins"),
+            "--margins with --band, --below or --controller: cannot be combined",
+        ),
         (
             ("--controller", "robust", "--sensitivity", "machines.G1.H"),
-            "--sensitivity with --controller: not together",
+            "--sensitivity with --controller: cannot be combined",
         ),
         (
             ("--controller", "robust", "--latency", "-1"),
@@ -69,7 +72,7 @@ def test_modes_with_a_late_controller(interarea) -> None:  # type: ignore[no-unt
             ("--below", "0.2", "--load-scale", "4"),
             "the power flow does not converge: worst mismatch",
         ),
-        (("--latency", "0.1"), "--latency 0.1 is of a controller's signals; name one with --controller"),
+        (("--latency", "0.1"), "--latency 0.1 needs a controller; name one with --controller"),
     ],
 )
 def test_a_mistake_is_one_line(interarea, given, said) -> None:  # type: ignore[no-untyped-def]

@@ -214,8 +214,8 @@ def test_screen_writes_its_page_and_says_how_many_slip(interarea, tmp_path: Path
     "words, why",
     [
         (("--bus", "80"), "no bus 80"),
-        (("--bus", "8", "--trips"), "--bus is of faults"),
-        (("--branch", "7-8 a"), "--branch of --trips"),
+        (("--bus", "8", "--trips"), "--bus belongs to faults"),
+        (("--branch", "7-8 a"), "--branch to --trips"),
         (("--clearing", "soon"), "--clearing = soon, allowed"),
         (("--clearing", "0 cycles"), "--clearing = 0 cycles, allowed"),
         (("--workers", "0"), "--workers N: got 0, allowed: at least 1"),

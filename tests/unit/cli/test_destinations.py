@@ -41,7 +41,7 @@ def test_a_place_that_takes_nothing(
     (tmp_path / "file").touch()
     (tmp_path / "grid.dyr").touch()  # of the example of `import`
     (tmp_path / "link").symlink_to("nowhere")
-    places = {"file": "is a file", "file/below": "is a file", "link/below": "is a link to nothing"}
+    places = {"file": "is a file", "file/below": "is a file", "link/below": "is a broken link"}
     places |= {"/proc": "nothing can be written in /proc"} if sys.platform == "linux" else {}
     before = sorted(tmp_path.rglob("*"))
     for where, says in places.items():

@@ -90,8 +90,8 @@ def kinds() -> dict[str, str]:
 def test_a_file_of_another_kind_is_named_as_what_it_is(interarea, kinds, command: str, wanted: str) -> None:  # type: ignore[no-untyped-def]
     words = {
         "empty": "is empty",
-        "folder": "folder" if command != "study" else "no bundled study",
-        "loop": "archive" if command != "study" else "no study",
+        "folder": "folder" if command != "study" else "not a bundled study",
+        "loop": "archive" if command != "study" else "not a study",
         "sweep": "is a sweep (`interarea sweep`)",
         "scenario": "is a scenario (`interarea run`)",
         "case": "is a case",
@@ -150,7 +150,7 @@ def test_a_file_that_cannot_be_is_refused_before_any_work(interarea, kinds, argu
     for place, word in (
         ("folder", "is a folder"),
         ("empty.toml/x", "is a file"),
-        (os.devnull, "no ordinary"),
+        (os.devnull, "not a regular"),
     ):
         code, out, err = interarea(*arguments, place)
         assert code == 2 and out == "" and err.count("\n") == 1
@@ -275,7 +275,9 @@ def test_a_sweep_of_which_nothing_runs_says_why(interarea) -> None:  # type: ign
     Path("far.toml").write_text(tie, encoding="utf-8")
     code, out, err = interarea("sweep", "far.toml", "--out", "far", "--workers", 1)
     assert code == 1 and "2 runs: 0 ok" in out and "2 failed" in out
-    assert "commonest reason, 1 of 2: two-area-thesis-tie-plus-5000: the power flow does not converge" in err
+    assert (
+        "most frequent reason, 1 of 2: two-area-thesis-tie-plus-5000: the power flow does not converge" in err
+    )
 
 
 def test_a_run_without_a_folder_prints_and_writes_nothing(
@@ -291,5 +293,5 @@ def test_a_run_without_a_folder_prints_and_writes_nothing(
     assert code == 0, err
     assert "remote" in out and "100" in out  # the ledger, in ms
     assert "two-area-thesis, controller robust, 0.4 s: " in err
-    assert "nothing is written; --out DIR" in err
+    assert "no files written; --out DIR" in err
     assert [p.name for p in tmp_path.iterdir()] == ["s.toml"]

@@ -138,7 +138,7 @@ def test_one_area_has_nothing_between_areas(interarea, tmp_path, given, said) ->
 @pytest.mark.parametrize(
     ("case", "given", "said"),
     [
-        ("kundur-manual", (), "no machine has an exciter that takes a signal .* give machines an exciter"),
+        ("kundur-manual", (), "no machine has an exciter that takes a signal .* add an exciter"),
         ("two-area-thesis", ("--circuit-out", "7-9"), "branch '7-9' does not exist; did you mean"),
     ],
 )

@@ -96,7 +96,7 @@ def test_modes_of_a_machine_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     code, out, complaint = invoke(words, monkeypatch)
     assert (code, complaint) == (0, "")
     assert out.startswith("stable: of 4 eigenvalues none grows")
-    assert "a machine alone has nothing to swing against" in out
+    assert "a single machine has no swing mode" in out
     code, out, _ = invoke((*words, "--json"), monkeypatch)
     assert (code, json.loads(out)["modes"]) == (0, {})
     assert invoke(("explore", "one.toml", "--out", "one.html"), monkeypatch)[0] == 0

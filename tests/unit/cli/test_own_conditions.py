@@ -55,7 +55,7 @@ def test_own_conditions_alone_decide() -> None:
         ia.UserError, match=r"condition 'L:G7_dw': parts are N, s<ms>, L:<one of G2_dw, G4_dw>"
     ):
         ia.certify(own(), conditions=["L:G7_dw"])
-    with pytest.raises(ia.UserError, match="conditions beside the design robust, allowed: one of them"):
+    with pytest.raises(ia.UserError, match="conditions and the design robust, allowed: one of them"):
         ia.certify(own(), spec="robust", conditions=["N"])
 
 
@@ -70,7 +70,7 @@ def test_the_command_exits_with_what_was_found(tmp_path: Path, monkeypatch: pyte
     assert invoke(("certify", "mine.json", "--conditions", "N,s300"), monkeypatch)[0] == 1
     code, _, complaint = invoke(("certify", "mine.json", "--acceptance"), monkeypatch)
     assert code == 2
-    assert "names no faults; give one that does (--spec)" in complaint
+    assert "has no faults; give a design with faults (--spec)" in complaint
 
 
 @pytest.mark.parametrize(

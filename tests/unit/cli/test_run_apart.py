@@ -46,10 +46,10 @@ def test_what_runs_apart_gives_what_it_gives_here(
     fmu = misbehaving_fmu(tmp_path)
     file = scenario(fmu, "u = 1.0")
     code, _, said = interarea("run", file, "--out", tmp_path / "apart")
-    assert code == 0 and said.startswith("bad: not built here, so the run has a process of its own")
+    assert code == 0 and said.startswith("bad: third-party FMU, so the run has a separate process")
     monkeypatch.setenv("INTERAREA_GUARDED", "1")
     code, _, said = interarea("run", file, "--out", tmp_path / "here")
-    assert code == 0 and "not built here" not in said
+    assert code == 0 and "third-party FMU" not in said
     for name in ("trajectory.csv", "trajectory.parquet"):
         apart, here = (tmp_path / path / name for path in ("apart", "here"))
         assert apart.exists() == here.exists()
@@ -71,6 +71,6 @@ def test_what_was_built_here_or_is_isolated_runs_here(
     interarea: Call, scenario: Callable[..., Path], tmp_path: Path, cache: Path
 ) -> None:
     ours = block_fmu(decay_block(), cache)
-    assert "not built here" not in interarea("run", scenario(ours, "u = 1.0"), "--out", tmp_path / "o")[2]
+    assert "third-party FMU" not in interarea("run", scenario(ours, "u = 1.0"), "--out", tmp_path / "o")[2]
     file = scenario(misbehaving_fmu(tmp_path), "u = 1.0", "isolate = true\n")
-    assert "not built here" not in interarea("run", file, "--out", tmp_path / "p")[2]
+    assert "third-party FMU" not in interarea("run", file, "--out", tmp_path / "p")[2]

@@ -50,7 +50,7 @@ def test_words_too_many_and_too_few(name: str, monkeypatch: pytest.MonkeyPatch) 
     if not any(p.nargs != 1 for p in arguments):
         missing = [w for p in required if p.param_type_name == "option" for w in (p.opts[0], "there")]
         line = _line([name, *["a"] * len(arguments), "surplus", *missing], monkeypatch)
-        assert line.startswith("surplus: more than is taken, allowed: ")
+        assert line.startswith("surplus: too many arguments, allowed: ")
 
 
 @each_option

@@ -112,5 +112,5 @@ def test_show_prints_the_file_and_names_it(interarea) -> None:  # type: ignore[n
     assert [r["kind"] for r in json.loads(interarea("show", "designs/robust", "--json")[1])] == ["designs"]
     assert "fault-tolerant" in interarea("show", "ftc")[1]
     assert interarea("show", "lost-signl") == (
-        2, "", "interarea: show lost-signl: nothing bundled has this name; did you mean lost-signal?\n"
+        2, "", "interarea: show lost-signl: no bundled file has this name; did you mean lost-signal?\n"
     )  # fmt: skip

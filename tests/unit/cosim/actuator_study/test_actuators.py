@@ -170,9 +170,9 @@ def test_a_fault_is_not_survived_where_the_loop_grows_later_than_the_run_shows(
         ),
         (["actuators", "--grid", "two-area-thesis"], "two-area-thesis: no LCC dc link in this grid"),
         (["actuators", "--grid", "kundur-pss"], "kundur-pss: no weak inter-area mode"),
-        (["actuators", "--grid", "nowhere"], "--grid nowhere: no grid"),
-        (["thesis", "--mva", "3"], "--mva: goes with the study actuators"),
-        (["worth", "--actuator", "svc"], "--actuator svc: goes with the study actuators"),
+        (["actuators", "--grid", "nowhere"], "--grid nowhere: not a grid"),
+        (["thesis", "--mva", "3"], "--mva: belongs to the study actuators"),
+        (["worth", "--actuator", "svc"], "--actuator svc: belongs to the study actuators"),
     ],
 )
 def test_bad_input_is_refused_in_a_line(

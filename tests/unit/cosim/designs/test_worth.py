@@ -106,7 +106,7 @@ def test_certify_says_what_the_link_is_worth() -> None:
 def test_worth_asks_for_the_design_that_fits() -> None:
     said = CliRunner().invoke(app, ["certify", "two_actuators", "--worth", "--spec", "robust"])
     assert said.exit_code != 0
-    assert "give its own design with --spec" in str(said.exception or said.output)
+    assert "give the design of the controller with --spec" in str(said.exception or said.output)
 
 
 @pytest.mark.slow

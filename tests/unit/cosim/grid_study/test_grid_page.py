@@ -119,7 +119,7 @@ def test_dynamic_data_beside_a_case_is_a_mistake(interarea: Any, tmp_path: Path)
     dyr.touch()
     code, _, err = interarea("study", "new-england", "--dyr", dyr, "--out", tmp_path / "out")
     assert code == 2
-    assert f"--dyr {dyr}: goes with a RAW file, not with the case new-england" in err
+    assert f"--dyr {dyr}: needs a RAW file, not the case new-england" in err
 
 
 @pytest.mark.slow

@@ -167,9 +167,9 @@ def test_a_grid_without_a_weak_mode_has_its_reason(tmp_path: Path, monkeypatch: 
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["worth", "--grid", "nowhere"], "--grid nowhere: no grid"),
+        (["worth", "--grid", "nowhere"], "--grid nowhere: not a grid"),
         (["worth", "--dyr", "a.dyr"], "--dyr a.dyr: not with the study worth"),
-        (["thesis", "--grid", "two-area-thesis"], "--grid two-area-thesis: goes with the study worth"),
+        (["thesis", "--grid", "two-area-thesis"], "--grid two-area-thesis: belongs to the study worth"),
     ],
 )
 def test_bad_input_is_refused_in_a_line(

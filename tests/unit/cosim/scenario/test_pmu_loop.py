@@ -122,7 +122,7 @@ def test_what_holds_no_pmu_says_so(hand_controller: Controller, cache: Path, tmp
     loaded = load_scenario(scenario({"bus": 2}))
     with pytest.raises(ScenarioError, match="pmu"):
         write_container(loaded, tmp_path / "loop.fmu", cache=cache, controller=hand_controller)
-    with pytest.raises(ScenarioError, match="a page holds no PMU"):
+    with pytest.raises(ScenarioError, match="a page contains no PMU"):
         subject_of(loaded, cache=cache)
 
 

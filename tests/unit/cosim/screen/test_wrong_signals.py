@@ -170,21 +170,21 @@ def test_signals_come_from_the_controller_and_witnesses_from_every_area() -> Non
 
 
 def test_a_detector_without_a_signal_of_the_controller_is_refused() -> None:
-    with pytest.raises(ScenarioError, match="compares G1_dw, G2_dw, G3_dw and not G4_dw"):
+    with pytest.raises(ScenarioError, match="has G1_dw, G2_dw, G3_dw but not G4_dw"):
         signals_of(CASE, load_controller("robust"), ("G1_dw", "G2_dw", "G3_dw"))
 
 
 def test_a_controller_without_speeds_is_refused() -> None:
     one = np.array([[-1.0]])
     system = control.ss(one, one, one, [[0.0]], inputs=["tie_p"], outputs=["G4_vs"])
-    with pytest.raises(ScenarioError, match="it sees tie_p, allowed: a controller with the speed"):
+    with pytest.raises(ScenarioError, match="its inputs are tie_p, allowed: a controller with the speed"):
         signals_of(CASE, Controller.of(system))
 
 
 def test_options_that_do_not_go_together(tmp_path: Path) -> None:
-    with pytest.raises(UserError, match="--detector: is of --wrong-signals"):
+    with pytest.raises(UserError, match="--detector needs --wrong-signals"):
         check_wrong_options(False, tmp_path, others=False)
-    with pytest.raises(UserError, match="are of the plain certificate"):
+    with pytest.raises(UserError, match="belong to the plain certificate"):
         check_wrong_options(True, None, others=True)
     table = load_design("robust")
     assert fault_place(table) == PLACE

@@ -52,7 +52,10 @@ def test_runs_are_counted_by_what_they_end_in_and_by_the_grid_without_control() 
     assert counts["alone"] == {"lost": 0, "swinging": 1, "worse": 1}
     assert (counts["false_alarms"], counts["clean_runs"], counts["runs_of_each"]) == (1, 1, 1)
     assert counts["least_left"] == 0.25
-    assert "2 and 1 with one, in 1 of these all signals taken out; of 3 isolated" in counts["conclusion"]
+    assert (
+        "2 and 1 with a detector, in 1 of these runs all signals were isolated; of 3 isolated"
+        in counts["conclusion"]
+    )
 
 
 def test_a_loop_that_is_unstable_without_a_signal_has_no_damping_left() -> None:
@@ -117,13 +120,13 @@ def test_a_grid_of_five_areas_has_its_own_detector(tmp_path: Path, monkeypatch: 
     [
         (
             ["wrong-signals", "--grid", "new-england"],
-            "goes with the study worth, inverters or actuators, not with wrong-signals",
+            "belongs to the study worth, inverters or actuators, not to wrong-signals",
         ),
         (["wrong-signals", "--minutes", "3"], "--minutes: not with the study wrong-signals; leave it out"),
-        (["worth", "--controller", "robust"], "--controller robust: goes with the study wrong-signals, not"),
+        (["worth", "--controller", "robust"], "--controller robust: belongs to the study wrong-signals, not"),
         (["wrong-signals", "--controller", "robost"], "robost"),
-        (["worth", "--disturbance", "rest"], '--disturbance "rest": goes with the study wrong-signals, not'),
-        (["thesis", "--one-point"], "--one-point: goes with the study wrong-signals, not with thesis"),
+        (["worth", "--disturbance", "rest"], '--disturbance "rest": belongs to the study wrong-signals, not'),
+        (["thesis", "--one-point"], "--one-point: belongs to the study wrong-signals, not to thesis"),
         (
             ["wrong-signals", "--disturbance", "storm"],
             "--disturbance storm: allowed: rest, pulse, bus fault, tie trip",

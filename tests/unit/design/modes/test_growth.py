@@ -168,11 +168,11 @@ def test_what_grows_beside_damped_swings_is_told(  # type: ignore[no-untyped-def
     raw.write_text(raw_text(load_case("kundur-thyristor-z")))
     file.write_text(dyr)
     _, _, err = interarea("import", str(raw), "--dyr", str(file), "--out", str(out))
-    verdict = next(line for line in err.splitlines() if line.startswith("at the equilibrium "))
+    verdict = next(line for line in err.splitlines() if line.startswith("at the equilibrium: "))
     assert all(part in verdict for part in lines)
     for given in ((), ("--band", "0.05:4", "--below", "0.5")):
         said = interarea("modes", str(out), *given)[1].splitlines()[0]
-        assert f"at the equilibrium {said}" == verdict
+        assert f"at the equilibrium: {said}" == verdict
 
 
 def test_the_verdict_of_a_case_is_computed_once_and_read_to_the_last_bit(

@@ -194,7 +194,7 @@ def test_the_cache_shows_checks_and_trims(interarea, tmp_path: Path, monkeypatch
     assert sorted(p.name for p in (tmp_path / "linear").iterdir()) == [
         *("new.npz", "new.npz.sha256", "old.npz", "old.npz.sha256")
     ]
-    assert "every file is what was written" in interarea("cache", "--check")[1]
+    assert "no file is damaged" in interarea("cache", "--check")[1]
     assert interarea("cache", "--keep-mb", "1.5")[0] == 0
     assert sorted(p.name for p in (tmp_path / "linear").iterdir()) == ["new.npz", "new.npz.sha256"]
     assert interarea("cache", "--unused-days", "1")[0] == 0
