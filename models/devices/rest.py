@@ -14,7 +14,7 @@ from ..errors import BeyondLimit, DeviceError
 from .gates import crossed, holding, led_on, spelled_out
 from .instance import Instance, Margin
 from .language.device import BASES
-from .language.element import Equation
+from .language.element import Equation, resolved
 from .language.elements import Plain
 from .language.expression import Node, evaluate, folded
 from .language.structure import Model
@@ -101,6 +101,9 @@ class _Walk:
                 self.equations.append(Equation(Node("name", name=name), element.u, name))
             else:
                 self.equations.append(element.at_rest(instance.on))
+        # with choices by parameters taken an equation can be turned, where else a root is looked for
+        taken = [resolved(model.device, e.right, instance.on) for e in self.equations]
+        self.equations = [replace(e, right=right) for e, right in zip(self.equations, taken, strict=True)]
         if output is not None and model.device.references:
             self.known[model.device.output] = output
         self.unknown = set(model.elements) | set(model.device.references)
