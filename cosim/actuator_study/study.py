@@ -153,7 +153,7 @@ def _with(study: Mapping[str, Any], cells: Sequence[Cell]) -> dict[str, Any]:
     places = list(KINDS)
     ordered = sorted(cells, key=lambda c: (places.index(c.kind), c.signals, c.latency_ms))
     rows = [without_matrices(cell) for cell in ordered]
-    return {**study, "conclusion": conclusion(ordered), "cells": rows}
+    return {**study, "conclusion": conclusion(ordered, study["survived_without"]), "cells": rows}
 
 
 def _write(study: Mapping[str, Any], cells: Sequence[Cell], out: Path) -> None:

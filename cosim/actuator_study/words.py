@@ -10,17 +10,19 @@ from .cells import REMOTE, Cell
 from .installed import KINDS
 
 
-def conclusion(cells: Sequence[Cell]) -> list[str]:
+def conclusion(cells: Sequence[Cell], survived: int) -> list[str]:
     """Return the conclusions: the kinds by damping, then the worth of remote signals for each kind.
 
-    >>> conclusion([])
+    survived : how many faults are stable without control.
+
+    >>> conclusion([], 8)
     ['no controller was designed']
     """
     if not cells:
         return ["no controller was designed"]
     kinds = list(dict.fromkeys(cell.kind for cell in cells))
     lines = [line for line in (_most(cells, "own", 0), *_by_latency(cells)) if line]
-    return [*lines, *(_worth([c for c in cells if c.kind == kind]) for kind in kinds)]
+    return [*lines, *(_worth([c for c in cells if c.kind == kind], survived) for kind in kinds)]
 
 
 def _by_latency(cells: Sequence[Cell]) -> list[str]:
@@ -41,7 +43,7 @@ def _most(cells: Sequence[Cell], signals: str, latency_ms: int) -> str:
     )
 
 
-def _worth(cells: Sequence[Cell]) -> str:
+def _worth(cells: Sequence[Cell], survived: int) -> str:
     """Return the worth of remote signals for one kind, compared with its own-signal controller."""
     name = KINDS[cells[0].kind]
     own = next((c for c in cells if c.signals == "own"), None)
@@ -61,6 +63,10 @@ def _worth(cells: Sequence[Cell]) -> str:
     fewest = min(remote, key=lambda c: c.survived)
     if fewest.survived < own.survived:
         text += f"; {own.survived - fewest.survived} fewer faults are stable at {fewest.latency_ms} ms"
+    if own.survived < survived:
+        text += (
+            f"; with the own signal {survived - own.survived} fewer faults are stable than without control"
+        )
     return text
 
 

@@ -110,13 +110,13 @@ def test_conclusions_follow_from_the_numbers() -> None:
         _cell("svc", "own", 0, 0.08),
         _cell("svc", "remote", 0, 0.12),
         _cell("svc", "remote", 300, 0.09, lost_stable=False, survived=10),
-        _cell("lcc", "own", 0, 0.30),
+        _cell("lcc", "own", 0, 0.30, survived=11),
         _cell("lcc", "remote", 0, 0.31),
         _cell("tcsc", "own", 0, 0.14),
         _cell("tcsc", "remote", 0, 0.27, lost=0.11),
         _cell("tcsc", "remote", 300, 0.17, lost=0.13),
     ]
-    assert conclusion(cells) == [
+    assert conclusion(cells, 12) == [
         "with own signals the inter-area damping ratios are LCC dc link 0.300, TCSC 0.140, SVC 0.080",
         "with remote signals delayed by 0 ms the inter-area damping ratios are LCC dc link 0.310, "
         "TCSC 0.270, SVC 0.120",
@@ -124,7 +124,7 @@ def test_conclusions_follow_from_the_numbers() -> None:
         "SVC: own signal 0.080, remote signals 0.120 at most; the link pays at 0 ms, not at 300 ms; "
         "unstable when x is lost; 2 fewer faults are stable at 300 ms",
         "LCC dc link: own signal 0.300, remote signals 0.310 at most; the own signal performs as well: do "
-        "not build this link",
+        "not build this link; with the own signal 1 fewer faults are stable than without control",
         "TCSC: own signal 0.140, remote signals 0.270 at most; the link pays at 0, 300 ms; with x lost "
         "0.110 at 0 ms, less than with the own signal",
     ]
