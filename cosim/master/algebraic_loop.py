@@ -8,6 +8,10 @@ plain sweep x <- g(x): waveform relaxation. Each later one updates an approximat
 r(x) = g(x) - x by one rank, in several dimensions what Aitken's process is in one: contracting loops converge
 faster, loops with gain above one converge at all. For an affine g of n unknowns it is exact after at most 2 n
 sweeps.
+
+Where an output reaches a limit just at the end of a step, its slope there jumps with what is supposed, and no
+slope solves the loop. After `_MAX_SWEEPS` slopes are therefore no unknowns any more: the supposed one is that
+of the straight line over the step.
 """
 
 from __future__ import annotations
@@ -69,7 +73,7 @@ class Broyden:
         return [x[i] + step[i] for i in range(n)]
 
 
-_MAX_SWEEPS = 50
+_MAX_SWEEPS = 50  # with slopes as unknowns, and as many with straight lines
 _LEAST_SCALE = 1e-4  # of the nominal value: a signal smaller than that is measured against it
 
 
@@ -83,7 +87,7 @@ def iterate_loop(
 
     Raises
     ------
-    StepError : no agreement after 50 sweeps.
+    StepError : no agreement after 50 sweeps and 50 more with straight lines.
     """
     h = step.length_s
     members = [nodes[name].participant for name in group.members]
@@ -92,7 +96,7 @@ def iterate_loop(
     supposed = [v for s in signals for v in (value_at(s.d, h), h * slope_at(s.d, h))]
     error = 0.0
     try:
-        for sweep in range(_MAX_SWEEPS):
+        for sweep in range(2 * _MAX_SWEEPS):
             if sweep:
                 for p, state in zip(members, states, strict=True):
                     p.restore(state)
@@ -100,10 +104,14 @@ def iterate_loop(
                     s.know(step.start, step.end, step.edge, supposed[2 * k], supposed[2 * k + 1] / h)
             for name in group.members:
                 nodes[name].advance(step)
-            residual, error = _residual(signals, supposed, h, step.edge)
+            residual, error = _residual(signals, supposed, h, step.edge or sweep >= _MAX_SWEEPS)
             if error <= tolerance:
                 return sweep
+            if sweep + 1 == _MAX_SWEEPS:
+                solver, residual = Broyden(2 * len(signals)), _residual(signals, supposed, h, True)[0]
             supposed = solver.correct(supposed, residual)
+            for k, s in enumerate(signals if sweep + 1 >= _MAX_SWEEPS else ()):
+                supposed[2 * k + 1] = supposed[2 * k] - s.v0
     finally:
         for p, state in zip(members, states, strict=True):
             p.release(state)
@@ -111,14 +119,17 @@ def iterate_loop(
 
 
 def _residual(
-    signals: list[Signal], supposed: list[float], h: float, edge: bool
+    signals: list[Signal], supposed: list[float], h: float, straight: bool
 ) -> tuple[list[float], float]:
-    """Return what came out less what was supposed, values and slopes in turn, and the relative change."""
+    """Return what came out less what was supposed, values and slopes in turn, and the relative change.
+
+    straight : slopes are no unknowns.
+    """
     residual: list[float] = []
     error = 0.0
     for k, s in enumerate(signals):
         value = s.v1 - supposed[2 * k]
-        slope = h * s.s1 - supposed[2 * k + 1] if s.kind == "hermite" and not edge else 0.0
+        slope = h * s.s1 - supposed[2 * k + 1] if s.kind == "hermite" and not straight else 0.0
         residual += [value, slope]
         scale = max(s.peak, abs(s.v1), _LEAST_SCALE * s.nominal)
         error = max(error, abs(value) / scale, abs(slope) / scale / 8.0)
@@ -128,7 +139,7 @@ def _residual(
 def not_settled(group: LoopSet, error: float, tolerance: float, step: Step) -> StepError:
     """Return the error of a loop whose last relative change `error` exceeds `tolerance`."""
     return StepError(
-        f"the loop does not converge in {_MAX_SWEEPS} sweeps: relative change {error:.3g}, "
+        f"the loop does not converge in {2 * _MAX_SWEEPS} sweeps: relative change {error:.3g}, "
         f"{tolerance:g} is allowed",
         instance=" -> ".join(group.members),
         call="iterating the step",

@@ -28,7 +28,7 @@ EXPORT int32_t kernel_run_lockstep(Kernel *const k[], const int64_t until[], int
                                    int32_t code[]);
 EXPORT int32_t kernel_layout(int32_t *sizes, int32_t room);
 
-enum { MAX_SWEEPS = 50 };
+enum { MAX_SWEEPS = 50 };   /* with slopes as unknowns, and as many with straight lines */
 static const double LEAST_SCALE = 1e-4; /* of the nominal value: algebraic_loop.py */
 
 enum { UNDER_WAY = -1, MOST_RUNS = 64 };
@@ -196,7 +196,7 @@ static int end_loop(Run *r, const KernelGroup *group)
     Broyden *broyden = &r->broyden;
     const Step *step = &r->step;
     const double h = step->length_s;
-    const int n = group->n_tearing;
+    const int n = group->n_tearing, straight = step->edge || r->sweep >= MAX_SWEEPS;
     double error = 0.0;
     int code;
 
@@ -205,7 +205,7 @@ static int end_loop(Run *r, const KernelGroup *group)
         const double scale = larger(larger(s->peak, fabs(s->v1)), LEAST_SCALE * s->nominal);
         const double value = s->v1 - broyden->x[2 * i];
         const double slope =
-            s->kind == KIND_HERMITE && !step->edge ? h * s->s1 - broyden->x[2 * i + 1] : 0.0;
+            s->kind == KIND_HERMITE && !straight ? h * s->s1 - broyden->x[2 * i + 1] : 0.0;
         broyden->r[2 * i] = value;
         broyden->r[2 * i + 1] = slope;
         error = larger(larger(error, fabs(value) / scale), fabs(slope) / scale / 8.0);
@@ -216,12 +216,18 @@ static int end_loop(Run *r, const KernelGroup *group)
         r->at = AT_GROUP;
         return KERNEL_OK;
     }
-    if (++r->sweep == MAX_SWEEPS) {
+    if (++r->sweep == 2 * MAX_SWEEPS) {
         k->group = (int32_t)(group - k->groups);
         k->value = error;
         return KERNEL_NOT_SETTLED;
     }
+    if (r->sweep == MAX_SWEEPS) {
+        *broyden = broyden_of(k->work, 2 * n);
+        for (int i = 0; i < n; ++i) broyden->r[2 * i + 1] = 0.0;
+    }
     broyden_correct(broyden);
+    for (int i = 0; i < n && r->sweep >= MAX_SWEEPS; ++i)
+        broyden->x[2 * i + 1] = broyden->x[2 * i] - k->signals[k->tearing[group->tearing + i]].v0;
     if ((code = restore_members(k, group)) != KERNEL_OK) return code;
     for (int i = 0; i < n; ++i)
         signal_know(k->signals + k->tearing[group->tearing + i], step->start, h, step->edge, broyden->x[2 * i],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import threading
@@ -89,6 +90,27 @@ def test_the_kernel_gives_the_bits_of_the_reference(
         assert fast.data.equals(slow.data)
         assert master.repeated == swept
         assert loop.result().packets.rows == counted
+
+
+@pytest.mark.slow
+def test_a_limit_reached_just_at_the_end_of_a_step_is_stepped_over_as_the_reference_does(cache: Path) -> None:
+    """A controller of `study actuators` whose loop over a dc link has no slope that agrees at 2.61 s."""
+    saved = json.loads(Path(__file__).with_name("limit_at_step_end.json").read_text(encoding="utf-8"))
+    fault = [
+        {"kind": "bus_fault", "bus": 7, "x_pu": 1e-4, "start_s": 1.0, "end_s": 1.2},
+        {"kind": "branch_trip", "branch": "7-8 a", "start_s": 1.2},
+    ]
+    fields = {"case": "two-area-actuators", "controller": "given", "stop_s": 2.7, "event": fault}
+    channel = {"from_tie_p": {"signal": "tie_p", "latency_s": 0.0, "on_loss": "zero"}}
+    scenario = load_scenario({**fields, "channels": channel})
+    with Loop(scenario, cache=cache, controller=Controller.from_dict(saved)) as loop:
+        fast = loop.master.run()
+        swept = loop.master.repeated
+        loop.master.engine = "python"
+        loop.master.start()
+        slow = loop.master.run()
+    assert fast.engine == "kernel" and fast.time_s[-1] == 2.7
+    assert fast.data.equals(slow.data) and loop.master.repeated == swept
 
 
 def test_the_engine_that_ran_is_in_the_result(cache: Path, by_hand: Controller) -> None:

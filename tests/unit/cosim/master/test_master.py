@@ -15,6 +15,7 @@ from interarea.cosim.errors import GraphError, StepError
 from interarea.cosim.master.master import Master
 from interarea.cosim.master.plan import LoopPlan
 from interarea.cosim.results.delay_ledger import delay_ledger, explain
+from interarea.cosim.trajectory import Trajectory
 
 TAU, STOP = 0.1, 10.0
 PULSE = (1.0, 1.2)
@@ -181,6 +182,44 @@ def test_an_algebraic_loop_is_solved_to_its_closed_form(k: float) -> None:
         run = master.run()
     assert master.residual <= 1e-12
     np.testing.assert_allclose(run["a.y"], 1.0 / (1.0 - k), rtol=1e-6)
+
+
+class Limited(Linear):
+    """Its output is at most `limit`, and has no slope there."""
+
+    limit = np.inf
+
+    def receive(self, slopes: bool) -> None:
+        super().receive(slopes)
+        if self.y[0] >= self.limit:
+            self.y[0], self.dy[:] = self.limit, [0.0] * len(self.dy)
+
+
+def test_a_limit_reached_just_at_the_end_of_a_step_is_stepped_over() -> None:
+    """x' = u, u = t - 2 x up to a limit: with its slope at the end u is at the limit, without it below it.
+
+    u(t) = (1 - exp(-2 t)) / 2 until the limit, then x grows along a line.
+    """
+    zero, one = np.zeros((1, 1)), np.ones((1, 1))
+
+    def run(limit: float) -> Trajectory:
+        plant = Linear("plant", zero, one, one, zero, ["u"], ["x"])
+        ramp = [(0.0, 10.0, np.ones(1))]
+        control = Limited("control", zero, zero, one, -2.0 * one, ["x"], ["u"], push=ramp)
+        control.limit = limit
+        wires = [("plant.x", "control.x"), ("control.u", "plant.u")]
+        with Master(LoopPlan(wires, stop_s=1.0, step_s=0.1), [plant, control]) as master:
+            return master.run()
+
+    u_end = run(np.inf)["control.u"]
+    for k in (3, 5):
+        limit = float(u_end[k]) - 2e-4
+        data = run(limit)
+        reached = -0.5 * np.log(1.0 - 2.0 * limit)
+        x_there = 0.5 * (reached - limit)
+        exact = x_there + limit * (data.time_s[-1] - reached)
+        assert data["plant.x"][-1] == pytest.approx(exact, rel=1e-3)
+        assert np.max(data["control.u"]) == limit
 
 
 def test_a_loop_without_a_solution_says_so() -> None:
