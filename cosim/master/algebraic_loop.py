@@ -110,12 +110,18 @@ def iterate_loop(
             if sweep + 1 == _MAX_SWEEPS:
                 solver, residual = Broyden(2 * len(signals)), _residual(signals, supposed, h, True)[0]
             supposed = solver.correct(supposed, residual)
-            for k, s in enumerate(signals if sweep + 1 >= _MAX_SWEEPS else ()):
-                supposed[2 * k + 1] = supposed[2 * k] - s.v0
+            if sweep + 1 >= _MAX_SWEEPS:
+                _straighten(supposed, signals)
     finally:
         for p, state in zip(members, states, strict=True):
             p.release(state)
     raise not_settled(group, error, tolerance, step)
+
+
+def _straighten(supposed: list[float], signals: list[Signal]) -> None:
+    """Give each signal the slope of the straight line to its supposed value, times H."""
+    for k, s in enumerate(signals):
+        supposed[2 * k + 1] = supposed[2 * k] - s.v0
 
 
 def _residual(

@@ -67,7 +67,7 @@ def test_parts_that_no_branch_connects_are_judged_within_the_largest(cache: Path
     case = load_case("two-area-thesis").with_changes({"branches": apart, "machines": {"G1": {"slack": True}}})
     assert swing_of(case, cache).source == "stated by the case"
     swing = swing_of(case.model_copy(update={"swing": None}), cache)
-    assert (swing.ahead, swing.behind) == ("G1", "G2") and "the largest of 2 parts" in swing.source
+    assert (swing.ahead, swing.behind) == ("G1", "G2") and "the largest of 2 islands" in swing.source
 
 
 def test_of_many_machines_those_are_drawn_whose_speeds_go_furthest(
@@ -81,7 +81,7 @@ def test_of_many_machines_those_are_drawn_whose_speeds_go_furthest(
     peaks = {m: float(np.abs(run.trajectory[f"plant.{m}_dw"]).max()) for m in ("G1", "G2", "G3", "G4")}
     furthest = sorted(peaks, key=lambda m: -peaks[m])[:2]
     assert [text.get_text() for text in legend.get_texts()] == sorted(furthest)
-    assert legend.get_title().get_text() == "2 of 4, the furthest"
+    assert legend.get_title().get_text() == "2 of 4, the largest deviations"
 
 
 def test_case_and_scenario_state_their_own(cache: Path) -> None:
@@ -122,7 +122,7 @@ def test_clearing_after_eight_cycles_is_rounded_and_said(cache: Path) -> None:
     run = run_scenario(table, cache=cache)
     as_written = run_scenario(table | {"event": [fault | {"end_s": 1.133333333}]}, cache=cache)
     np.testing.assert_array_equal(run.data, as_written.data)
-    assert "event 1.end_s = 1.1333333333333333 s is taken as 1.133333333 s" in str(run.ledger)
+    assert "event 1.end_s = 1.1333333333333333 s is rounded to 1.133333333 s" in str(run.ledger)
     assert as_written.ledger.rounded == ()
     same = fault | {"start_s": 1.0, "end_s": 1.0 + 3e-10}
     with pytest.raises(ScenarioError, match="on one tick"):

@@ -68,7 +68,7 @@ def test_a_bank_is_designed_proven_and_judged(tmp_path: Path, cache: Path) -> No
     [
         (
             {"member": [{"name": "x", "signals": ["G9_dw"], "conditions": ["N"]}]},
-            "member x sees \\['G9_dw'\\]",
+            "member x uses unknown signals \\['G9_dw'\\]",
         ),
         ({"member": []}, "bank.member"),
         ({"member": [{"name": "x", "signals": ["G4_dw"], "conditions": ["N"]}], "fade_s": -1.0}, "fade_s"),

@@ -62,7 +62,7 @@ def test_a_rival_has_equal_order_effort_and_points(
                 "part": [{"actuator": "G4_vs", "signals": ["G4_dw"]}],
                 "conditions": ["N"],
             },
-            "sees no signal from another machine",
+            "uses no signal of another machine",
         ),
     ],
 )
@@ -147,4 +147,4 @@ def test_one_signal_is_worth_what_the_controller_is() -> None:
     rival = rival_on_record(shipped_controller("robust"))
     assert rival is not None
     said = worth_at(load_case("two-area-thesis"), rival, default_cache()).sentence
-    assert said.startswith("no signal comes from another machine: the controller itself buys +0.")
+    assert said.startswith("no signal of another machine: the controller changes inter-area damping by +0.")

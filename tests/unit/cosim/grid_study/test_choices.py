@@ -74,9 +74,9 @@ def test_a_mistake_in_it_is_named(text: str, said: str, tmp_path: Path) -> None:
 
 def test_new_of_what_is_no_grid_is_a_mistake(interarea: Any, tmp_path: Path) -> None:
     code, _, err = interarea("new", "design", "new-england", "--out", tmp_path / "a.toml")
-    assert code == 2 and "no grid" in err
+    assert code == 2 and "not a grid" in err
     code, _, err = interarea("new", "study", "nowhere", "--out", tmp_path / "a.toml")
-    assert code == 2 and "no grid" in err
+    assert code == 2 and "not a grid" in err
 
 
 def test_the_text_is_read_as_the_same_choices(tmp_path: Path) -> None:

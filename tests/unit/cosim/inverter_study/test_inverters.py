@@ -196,7 +196,7 @@ def test_a_stopped_study_goes_on_and_writes_page_and_tables(tmp_path, monkeypatc
 def test_refusals_name_the_option(tmp_path, monkeypatch):
     for words, says in (
         (["--mva", "5"], "--mva: belongs to the study actuators, not to inverters"),
-        (["--grid", "no-grid"], "--grid no-grid: no grid"),
+        (["--grid", "no-grid"], "--grid no-grid: not a grid"),
     ):
         code, _, err = invoke(["study", "inverters", *words, "--out", str(tmp_path / "out")], monkeypatch)
         assert code == 2

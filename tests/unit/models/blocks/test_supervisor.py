@@ -189,7 +189,7 @@ def test_an_fmu_without_a_bank_is_one_controller_or_none(tmp_path: Path) -> None
     one = build_fmu(member("one", SIGNALS, 1).block(OMEGA_B), tmp_path / "one.fmu")
     assert isinstance(controller_from_fmu(one, OMEGA_B), Controller)
     other = build_fmu(channel_block(), tmp_path / "channel.fmu")
-    with pytest.raises(ControllerError, match=r"channel.fmu: has no parameter A\[1,1\]: no lin"):
+    with pytest.raises(ControllerError, match=r"channel.fmu: has no parameter A\[1,1\]: not a linear"):
         controller_from_fmu(other, OMEGA_B)
 
 
