@@ -95,7 +95,7 @@ def test_the_bundled_bank_says_what_its_link_is_worth() -> None:
     """With both signals it damps more than the best of the local one alone; it keeps what the grid keeps."""
     said = CliRunner().invoke(app, ["certify", "active"])
     assert said.exit_code == 0, said.output
-    assert "the link from G2 buys 0.0" in said.output
+    assert "the link from G2 adds 0.0" in said.output
     assert "every sequence of losses and returns decays" in said.output
     record = (shipped_bank("active").certificate or {})["acceptance"]
     assert record["cases"] == 120 and not record["lost"] and not record["standing"] and not record["unstable"]

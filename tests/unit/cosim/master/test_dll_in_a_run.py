@@ -109,7 +109,7 @@ def test_a_scenario_names_a_dll_as_its_controller(robust: Path, cache: Path) -> 
     assert system_of(loaded, cache=cache).linear_swings() == "controller may have any effect"
     with pytest.raises(ScenarioError, match="controller run as DLLs, which an archive"):
         members_of(loaded, cache=cache)
-    with pytest.raises(ScenarioError, match="controller_gain and controller_limit_pu do nothing"):
+    with pytest.raises(ScenarioError, match="controller_gain and controller_limit_pu have no effect on"):
         load_scenario(short | {"controller_gain": 2.0})
     with pytest.raises(ScenarioError, match="is a DLL, its equations"):
         controller_of(robust, loaded.load_case(), cache)

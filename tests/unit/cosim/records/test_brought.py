@@ -106,7 +106,7 @@ def test_the_bundled_controller_raises_the_damping_of_ten_minutes_of_load_noise(
     assert json.loads(out)["sentence"] == result.as_dict()["sentence"]
     code, out, err = invoke(["meter", str(paths[0]), "--beside", str(paths[0])], monkeypatch)
     assert (code, out) == (2, "")
-    assert "hold the same numbers" in err
+    assert "contain the same data" in err
 
 
 @pytest.mark.slow
