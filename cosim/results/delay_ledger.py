@@ -220,7 +220,7 @@ def packet_ledger(trajectory: Trajectory, accumulators: Accumulators) -> PacketL
             row = {}  # continuous: nothing travels in packets
         else:
             arrived = row.get("delivered", 0.0) + row.get("dropped", 0.0) + row.get("late", 0.0)
-            row["on their way"] = row["sent"] - arrived
+            row["in transit"] = row["sent"] - arrived
         if name in accumulators.ages:
             age = accumulators.ages[name]
             row |= {"age": age.last, "age mean": age.mean, "age max": age.largest}

@@ -236,7 +236,7 @@ def _screened(
 ) -> Screened:
     key = _key(row, screening)
     if row["status"] != "ok":
-        collapsed = row["failure"] == "fmu" and "no voltage found" in str(row["reason"])
+        collapsed = row["failure"] == "fmu" and "no voltage solution" in str(row["reason"])
         verdict: Literal["lost", "failed"] = "lost" if collapsed else "failed"
         return Screened(*key, verdict, None, None, "", None, None, str(row["reason"]), critical.get(key))
     return Screened(

@@ -157,7 +157,7 @@ int step_is_sane(Instance *c, double begin, double step, const char *call)
         instance_report(c, fmi2Error, call, "the step to %.17g passes the stop time %.17g", begin + step,
                         run->stop_time);
     else if (!(begin + step > run->time && step_length(c, begin, step) > 0.0))
-        instance_report(c, fmi2Error, call, "a step of %g s is lost in rounding at time %.17g", step, run->time);
+        instance_report(c, fmi2Error, call, "a step of %g s is too small to change the time %.17g", step, run->time);
     else
         return 1;
     return 0;

@@ -114,10 +114,10 @@ static FILE *open_utf8(const char *path)
 static const char *reason(int error)
 {
     switch (error) {
-    case ENOENT: return "it is not there";
-    case EACCES: return "reading it is not permitted";
-    case EMFILE: return "this process has too many files open";
-    default: return "the system refuses";
+    case ENOENT: return "no such file";
+    case EACCES: return "permission denied";
+    case EMFILE: return "too many open files in this process";
+    default: return "the system refused";
     }
 }
 
@@ -152,7 +152,7 @@ unsigned char *resource_read(const char *location, const fmi2CallbackFunctions *
     } else if (end == LONG_MAX) {
         snprintf(why, why_size, "\"%.300s\" is a folder, not a file; extract the FMU again", path);
     } else if ((size_t)end > LARGEST_RECORD) {
-        snprintf(why, why_size, "\"%.300s\" has %ld bytes, which no block of this FMU needs", path, end);
+        snprintf(why, why_size, "\"%.300s\" has %ld bytes, more than any block of this FMU needs", path, end);
     } else if ((bytes = instance_allocate(callbacks, (size_t)end + 8)) == NULL) {
         snprintf(why, why_size, "out of memory reading \"%.300s\" (%ld bytes)", path, end);
     } else if (fread(bytes, 1, (size_t)end, file) != (size_t)end) {

@@ -107,7 +107,7 @@ def _begins_with_the_file(entries: list[zipfile.ZipInfo], path: Path, report: Re
         report.add(
             _HOSTILE,
             path.name,
-            f"{first} bytes before the first entry: cut short, or hung behind another file",
+            f"{first} bytes before the first entry: truncated, or appended to another file",
             "make the archive again",
         )
     return first == 0

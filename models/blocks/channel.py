@@ -26,18 +26,18 @@ SIGNAL_FAULT = Enumeration(
     "SignalFault",
     (
         ("none", 0, "The signal is right"),
-        ("stuck", 1, "It stays at its value at the start"),
+        ("stuck", 1, "Frozen at its value at the start of the fault"),
         ("bias", 2, "size is added"),
-        ("ramp", 3, "size is added each second"),
-        ("drift", 4, "size is added with the time constant detail (s)"),
+        ("ramp", 3, "A ramp of size per second is added"),
+        ("drift", 4, "A bias that approaches size with the time constant detail (s) is added"),
         ("scale", 5, "It is multiplied by size"),
         ("polarity", 6, "It has the wrong sign"),
-        ("noise", 7, "Each packet has noise with the standard deviation size"),
-        ("spike", 8, "Each packet is off by size, up or down, with probability detail"),
-        ("replay", 9, "The last size seconds before the start are sent again and again"),
-        ("time_error", 10, "It is size + detail (t - start) seconds older than its stamp"),
+        ("noise", 7, "Noise of standard deviation size is added to each packet"),
+        ("spike", 8, "Plus or minus size is added to a packet with probability detail"),
+        ("replay", 9, "The last size seconds before the start are repeated"),
+        ("time_error", 10, "The value is size + detail (t - start) seconds older than its stamp"),
         ("oscillating", 11, "A sine of amplitude size and frequency detail (Hz) is added"),
-        ("swap", 12, "Signal number size of the same concentrator is sent in its place"),
+        ("swap", 12, "Replaced by signal number size of the same concentrator"),
     ),
 )
 
@@ -45,14 +45,14 @@ SIGNAL_FAULT = Enumeration(
 def signal_fault_variables(fault: str) -> list[Variable]:
     """Return the parameters of one fault of a signal: ``.start`` and so on after the name `fault`."""
     return [
-        Variable(f"{fault}.start", "parameter", "First time at which it is wrong", unit="s", start=1e30),
-        Variable(f"{fault}.end", "parameter", "First time at which it is right again", unit="s", start=1e30),
+        Variable(f"{fault}.start", "parameter", "Start of the fault", unit="s", start=1e30),
+        Variable(f"{fault}.end", "parameter", "End of the fault, itself outside", unit="s", start=1e30),
         Variable(f"{fault}.size", "parameter", "Size, see kind", start=0.0),
         Variable(f"{fault}.detail", "parameter", "Second number, see kind", start=0.0),
         Variable(
             f"{fault}.kind",
             "parameter",
-            "What is wrong with the signal, its flag up",
+            "Fault of the signal; its flag stays valid",
             type="Enumeration",
             enumeration=SIGNAL_FAULT,
             start=0,
@@ -74,14 +74,14 @@ def _variables(unit: str) -> list[Variable]:
             for name, what in (
                 ("sent", "sent"),
                 ("delivered", "delivered with the newest time stamp"),
-                ("dropped", "lost on the way or in an outage"),
-                ("late", "that came after a newer one or after the concentrator's wait"),
+                ("dropped", "lost in transit or in an outage"),
+                ("late", "that arrived after a newer one or after the wait time of the concentrator"),
             )
         ),
         Variable(
             "latency",
             "parameter",
-            "Time from sending to receiving",
+            "Latency from sending to receiving",
             unit="s",
             display_unit="ms",
             start=0.0,
@@ -91,7 +91,7 @@ def _variables(unit: str) -> list[Variable]:
         Variable(
             "hold_time",
             "parameter",
-            "How long hold_then_zero holds",
+            "Hold time of hold_then_zero",
             unit="s",
             display_unit="ms",
             start=0.5,
@@ -109,12 +109,12 @@ def _variables(unit: str) -> list[Variable]:
         for name, text, in_unit, most in (
             ("reporting_interval", "Interval between packets; 0: continuous", "s", 1e6),
             ("jitter", "Width of a uniform random part of the latency", "s", 1e6),
-            ("quantum", "Step of the rounding of what is sent; 0: none", unit, 1e6),
-            ("pdc_wait", "Wait of the concentrator after the time stamp; 0: none", "s", 1e6),
+            ("quantum", "Quantisation step of the value sent; 0: none", unit, 1e6),
+            ("pdc_wait", "Wait time of the concentrator after the time stamp; 0: none", "s", 1e6),
             ("loss_good", "Probability of loss in the good state", "1", 1.0),
             ("loss_bad", "Probability of loss in the bad state", "1", 1.0),
-            ("good_to_bad", "Probability per packet of going from good to bad", "1", 1.0),
-            ("bad_to_good", "Probability per packet of going from bad to good", "1", 1.0),
+            ("good_to_bad", "Probability of transition from good to bad, per packet", "1", 1.0),
+            ("bad_to_good", "Probability of transition from bad to good, per packet", "1", 1.0),
             *(
                 (f"quantile[{j + 1}]", f"Random part of the latency at probability {j}/32", "s", 1e6)
                 for j in range(QUANTILES)
@@ -125,7 +125,7 @@ def _variables(unit: str) -> list[Variable]:
         Variable(
             "on_loss",
             "parameter",
-            "What the output is during an outage",
+            "Output during an outage",
             type="Enumeration",
             enumeration=ON_LOSS,
             start=2,
@@ -221,11 +221,11 @@ def gamma_quantiles(shape: float, scale_s: float) -> dict[str, float]:
 
 _BEHAVIOUR = (
     "<p>y(t) = u(t &minus; latency) at every communication point, whatever the step. Between the "
-    "communication points at which it was told u and its slope, the input is the cubic Hermite polynomial; "
+    "communication points at which u and its slope were set, the input is the cubic Hermite polynomial; "
     "without slopes the straight line; before the start, its first value. During an outage (start included, "
     "end not) <code>valid</code> is false and <code>on_loss</code> decides y.</p>"
     "<p>With <code>reporting_interval</code> T &gt; 0 the signal travels in packets stamped k T, with random "
     "latency and loss from <code>seed</code>; y is the value with the newest stamp that has arrived. "
-    "sent = delivered + dropped + late + on their way.</p>"
+    "sent = delivered + dropped + late + in transit.</p>"
     "<p><code>fault[k]</code> makes values measured in [start, end) wrong; <code>valid</code> stays true.</p>"
 )

@@ -64,9 +64,17 @@ def concentrator_block(
     variables += [
         Variable(f"y{i}", "output", f"Signal {i}, aligned", unit=unit, depends_on=(f"u{i}",)) for i in numbers
     ]
-    variables.append(Variable("age", "output", "Time since the newest set's stamp", unit="s", depends_on=()))
+    variables.append(
+        Variable("age", "output", "Time since the stamp of the newest set", unit="s", depends_on=())
+    )
     variables += [
-        Variable(f"valid{i}", "output", f"The newest set has signal {i}", type="Boolean", depends_on=())
+        Variable(
+            f"valid{i}",
+            "output",
+            f"Whether the newest set contains signal {i}",
+            type="Boolean",
+            depends_on=(),
+        )
         for i in numbers
     ]
     variables += [
@@ -76,8 +84,15 @@ def concentrator_block(
     variables += [
         Variable("reporting_interval", "parameter", "Interval of stamps", unit="s", start=0.02, min=1e-4),
         Variable("wait", "parameter", "Longest wait for a set", unit="s", start=0.1, min=0.0),
-        Variable("latency", "parameter", "From the concentrator to here", unit="s", start=0.0, min=0.0),
-        Variable("hold_time", "parameter", "How long hold_then_zero holds", unit="s", start=0.5, min=0.0),
+        Variable(
+            "latency",
+            "parameter",
+            "Latency from the concentrator to the receiver",
+            unit="s",
+            start=0.0,
+            min=0.0,
+        ),
+        Variable("hold_time", "parameter", "Hold time of hold_then_zero", unit="s", start=0.5, min=0.0),
     ]
     for i in numbers:
         variables += [
@@ -88,7 +103,13 @@ def concentrator_block(
             Variable(f"lost[{i}].end", "parameter", "First stamp that is not", unit="s", start=1e30),
         ]
     variables += [
-        Variable("relative", "parameter", "Wait from the first arrival", type="Boolean", start=False),
+        Variable(
+            "relative",
+            "parameter",
+            "Whether the wait time starts at the first arrival",
+            type="Boolean",
+            start=False,
+        ),
         Variable("on_loss", "parameter", "y if invalid", type="Enumeration", enumeration=ON_MISSING, start=2),
         Variable("seed", "parameter", "Which frames", type="Integer", start=0, min=0, max=2147483647),
     ]

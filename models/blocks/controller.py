@@ -250,8 +250,8 @@ def guard_variables(guard: Guard, filters: Mapping[str, tuple[str, str]]) -> lis
         signals = guard.signals(y)
         watched = signals[0] if len(signals) == 1 else f"the mean of {', '.join(signals)}"
         for state, what, seen in (
-            (slow, f"Slow course of {watched}, which the guard of {y} takes off", (slow, *signals)),
-            (swing, f"Low pass of what is left of {watched}", (slow, swing, *signals)),
+            (slow, f"Low pass of {watched}, subtracted by the guard of {y}", (slow, *signals)),
+            (swing, f"Low pass of {watched} after that subtraction", (slow, swing, *signals)),
         ):
             states.append(Variable(state, "state", what, unit="pu", start=0.0))
             derivatives.append(
@@ -265,7 +265,7 @@ def guard_variables(guard: Guard, filters: Mapping[str, tuple[str, str]]) -> lis
                 )
             )
     if guard.follows is not None:
-        what = f"Slow course of {guard.follows}, with whose sign the sides of the guards turn"
+        what = f"Low pass of {guard.follows}, whose sign selects the sides of the guards"
         # a start value would be overwritten with the flow at rest
         states.append(Variable(COURSE, "state", what, unit="pu", start=0.0))
         derivatives.append(
@@ -289,18 +289,18 @@ def guard_parameters(guard: Guard | None, outputs: Sequence[str]) -> list[Variab
         (
             f"guard_side[{k + 1}]",
             guard.sides[y],
-            f"{y}: share of the upper (+) or lower (-) limit that falls",
+            f"{y}: share by which the upper (+) or lower (-) limit is reduced",
             "1",
         )
         for k, y in enumerate(y for y in outputs if y in guard.watched)
     ]
     rows += [
-        ("guard_threshold", guard.threshold, "Speed deviation at which that share has fallen whole", "pu"),
-        ("guard_washout", guard.washout_s, "Time constant of the slow course that is taken off", "s"),
-        ("guard_lowpass", guard.lowpass_s, "Time constant with which the guard lets go", "s"),
+        ("guard_threshold", guard.threshold, "Speed deviation of the full reduction", "pu"),
+        ("guard_washout", guard.washout_s, "Time constant of the low pass that is subtracted", "s"),
+        ("guard_lowpass", guard.lowpass_s, "Time constant with which the limit is restored", "s"),
     ]
     if guard.follows is not None:
-        text = f"Slow course of {guard.follows} at which the sides are whole; below 0 they are turned"
+        text = f"Low-passed {guard.follows} at which the sides apply fully; below 0 they are reversed"
         rows.append(("guard_flow", guard.flow_pu, text, "pu"))
     return [
         Variable(
@@ -318,14 +318,14 @@ def guard_parameters(guard: Guard | None, outputs: Sequence[str]) -> list[Variab
 
 
 _GUARD_EQUATIONS = (
-    "<p>An output with a guard watches a speed s, or the mean of several: "
+    "<p>The guard of an output uses a speed s, or the mean of several: "
     "dw/dt = (s &minus; w) / guard_washout, "
     "dl/dt = (s &minus; w &minus; l) / guard_lowpass, q = min(1, max(|s &minus; w|, |l|) / guard_threshold). "
-    "Where its guard_side is above 0 the upper limit is limit (1 &minus; q guard_side), where it is below 0 "
-    "the lower one &minus;limit (1 + q guard_side): no control on the side that adds to a first swing.</p>"
+    "With guard_side above 0 the upper limit is limit (1 &minus; q guard_side), with it below 0 the "
+    "lower one is &minus;limit (1 + q guard_side): no control in the direction of a first swing.</p>"
 )
 _TURNING = (
-    "<p>The sides turn with the slow course c of a flow f, which starts at the flow at rest: "
+    "<p>The sides follow the low-passed flow c of a flow f, which starts at the flow in equilibrium: "
     "dc/dt = (f &minus; c) / guard_washout, each guard_side times max(&minus;1, min(1, c / guard_flow)).</p>"
 )
 

@@ -123,21 +123,26 @@ def _ports(signals: Sequence[str]) -> Iterator[Variable]:
 def _parameters(signals: Sequence[str], patterns: Patterns | None) -> Iterator[Variable]:
     for key, text, unit, start in (
         ("interval", "Interval of frames", "s", 0.02),
-        ("wait", "Lag up to which signals wait for each other", "s", 1.0),
+        ("wait", "Longest wait for the frame of a delayed signal", "s", 1.0),
         ("average", "Time over which means are compared", "s", 2.0),
         (
             "return_time",
-            "How long a signal passes every test before it comes back, the first time",
+            "Time for which an isolated signal must pass every test before its first return",
             "s",
             60.0,
         ),
-        ("moving", "Change from frame to frame by which a signal moves", "pu", 1e-6),
-        ("share", "Share of the others' span by which a mean may be further apart", "1", 0.75),
+        ("moving", "Least change between two frames of a signal that moves", "pu", 1e-6),
+        ("share", "Share of the span of the other signals that is added to `apart`", "1", 0.75),
         ("pattern", "Largest score against the patterns", "1", patterns.threshold if patterns else 1.0),
-        ("floor", "What is left of a window anyhow", "pu", patterns.floor if patterns else 1.0),
-        ("alone", "Largest share of the others' span", "1", patterns.alone if patterns else 1e9),
-        ("standing", "Span of a swing that all signals are taken out for when it stands", "pu", 3e-4),
-        ("standing_time", "How long it stands then", "s", 15.0),
+        ("floor", "Noise floor of the residual of a window", "pu", patterns.floor if patterns else 1.0),
+        (
+            "alone",
+            "Largest span, as a share of the span of the other signals",
+            "1",
+            patterns.alone if patterns else 1e9,
+        ),
+        ("standing", "Span of a sustained swing that isolates all signals", "pu", 3e-4),
+        ("standing_time", "Duration of that swing before it does", "s", 15.0),
     ):
         yield Variable(key, "parameter", text, unit=unit, start=start, min=0.0)
     for i, s in enumerate(signals, start=1):
@@ -149,14 +154,14 @@ def _parameters(signals: Sequence[str], patterns: Patterns | None) -> Iterator[V
         ):
             unit = "pu/s" if key == "jump" else "pu"
             yield Variable(f"{key}[{i}]", "parameter", text, unit=unit, start=start, min=0.0)
-    text = "Frames in a row, equal or as they were before, that are too many"
+    text = "Number of consecutive repeated frames that isolates a signal"
     yield Variable("repeats", "parameter", text, type="Integer", start=10, min=1)
 
 
 _BEHAVIOUR = (
     "<p>Each frame of a signal is tested for its range, its change and repetition; the means of all signals "
-    "over <code>average</code>, and how rough they are, are compared at the same stamps. A signal that fails "
-    "is isolated until it has passed every test for <code>return_time</code>, twice as long each further "
-    "time. A swing that stands takes all signals out. Outputs follow from the inputs at the "
-    "beginning of a step.</p>"
+    "over <code>average</code>, and their roughness, are compared at equal stamps. A signal that fails is "
+    "isolated until it has passed every test for <code>return_time</code>; this time doubles with each "
+    "isolation. A sustained swing isolates all signals. Outputs follow from the inputs at the beginning of "
+    "a step.</p>"
 )

@@ -120,9 +120,9 @@ def _integration(point: OperatingPoint, step_s: float) -> str:
         f"{step_s:g} s unless set otherwise. The shortest time constant of this grid is {shortest:g} s: "
         f"steps up to about {2.4 * shortest:.2g} s are stable, less if a parameter makes a control faster. "
         "Accuracy is of fourth order, also where limits of exciters, stabilizers and governors are reached "
-        "or left: such steps are divided there. Compare with half the step where it matters.</p>"
-        "<p>In model exchange each decision of a limiter, gate or other switch is an event indicator. Once "
-        "they are asked for, limiters switch in event mode only; where they never are, limiters switch by "
+        "or left: such steps are divided there. Halve the step to check the error.</p>"
+        "<p>In model exchange each condition of a limiter, gate or other switch is an event indicator. After "
+        "the first request of indicators, limiters switch in event mode only; without one they switch by "
         "themselves.</p>"
     )
 
@@ -396,7 +396,7 @@ def event_numbers_html(case: Case) -> str:
     """Return the table as HTML."""
     rows = "".join(_row(what, names) for what, names in event_numbers(case).items() if names)
     return (
-        "<p>An event slot says by <code>event[k].target</code> what it acts on: a number from 1.</p>"
+        "<p><code>event[k].target</code> is the number, from 1, of what an event slot acts on.</p>"
         f"<table><tr><th>kind</th><th>target</th><th>numbers</th></tr>{rows}</table>"
     )
 

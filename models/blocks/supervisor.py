@@ -89,7 +89,7 @@ def supervisor_block(
     return Block(
         kind="supervisor",
         name=name,
-        description=f"Bank of {len(bank)} controllers in hot standby, chosen by the validity of the signals",
+        description=f"Bank of {len(bank)} controllers in hot standby, selected by the valid signals",
         table=VariableTable(
             [
                 *_state_variables(bank, choice, inputs, guard, outputs),
@@ -110,16 +110,16 @@ def supervisor_block(
 
 _TIMES = {
     "fade_time": "Time constant of the bumpless transfer",
-    "loss_time": "How long a flag is down before its signal is lost",
-    "return_time": "How long a flag is up before its signal is back",
+    "loss_time": "Time for which a flag must be false before its signal counts as lost",
+    "return_time": "Time for which a flag must be true before its signal is used again",
     "dwell_time": "Least time between two switches",
 }
 
 _EQUATIONS = (
     "<p>Every controller runs on the signals v<sub>j</sub> = m<sub>j</sub> u<sub>j</sub>; the output is "
     "&Sigma; w<sub>i</sub> y<sub>i</sub>, limited. Weights w and trust m follow their targets with the time "
-    "constant <code>fade_time</code>, so nothing jumps when the active controller changes. A signal that is "
-    "stuck or wrong while its flag is up is not detected: it is used as it comes.</p>"
+    "constant <code>fade_time</code>, so nothing jumps when the active controller changes. A wrong signal "
+    "with a valid flag is not detected; it is used unchanged.</p>"
 )
 
 

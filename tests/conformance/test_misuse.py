@@ -216,11 +216,11 @@ def test_wrong_guid(decay: Path) -> None:
 @pytest.mark.parametrize(
     ("damage", "text"),
     [
-        (lambda b: b[: len(b) // 2], "cut short"),
-        (lambda b: b"", "wrong magic"),
-        (lambda b: b[:-8] + bytes([b[-8] ^ 1]) + b[-7:], "check sum"),
+        (lambda b: b[: len(b) // 2], "truncated"),
+        (lambda b: b"", "wrong first bytes"),
+        (lambda b: b[:-8] + bytes([b[-8] ^ 1]) + b[-7:], "checksum"),
         (lambda b: b + b"x", "bytes appended"),
-        (lambda b: b[:8] + struct.pack("<Q", 2**60) + b[16:], "cut short"),
+        (lambda b: b[:8] + struct.pack("<Q", 2**60) + b[16:], "truncated"),
         (None, "cannot open"),
     ],
 )

@@ -132,7 +132,7 @@ def test_order_lost_failed_kept(screening: tuple[list[Screened], Path]) -> None:
             {"bus": 3, "controller": "none", **none, "status": "failed", "failure": "invalid",
              "reason": "why"},
             {"bus": 4, "controller": "none", **none, "status": "failed", "failure": "fmu",
-             "reason": "network: no voltage found at bus 4"},
+             "reason": "network: no voltage solution at bus 4"},
             {"bus": 5, "controller": "none", "synchronous": False, "angle_deg": 200.0, **kept},
         ]
     )  # fmt: skip

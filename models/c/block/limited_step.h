@@ -278,8 +278,8 @@ static inline void limited_pay(const LimitedRun *run, const LimitedStep *s)
     *run->spent += (double)s->count;
     if (first && !(*run->spent < LIMITED_FIRST))
         (void)snprintf(s->message->text, sizeof s->message->text,
-                       "t = %.9g s: limiters have switched so often that finding the instants has taken %.0f evaluations; "
-                       "from here on only one more for two steps: at switches not found errors fall with the step alone",
+                       "t = %.9g s: limiters switch so often that %.0f evaluations were spent on the switching instants; from "
+                       "here on few instants are located: use a shorter solver.step if the result depends on it",
                        s->begin, LIMITED_FIRST);
 }
 

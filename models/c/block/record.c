@@ -41,20 +41,20 @@ int record_open(Record *record, const void *bytes, size_t size, const char **why
     record->n_entries = 0;
     *why = "";
     if (size < HEADER || memcmp(p, "IAREC001", 8) != 0) {
-        *why = "not an interarea record (wrong magic or cut short)";
+        *why = "not an interarea record (wrong first bytes, or truncated)";
         return 1;
     }
     if (read_u64(p + 8) != size) {
-        *why = "the record is cut short or has bytes appended";
+        *why = "the record is truncated or has bytes appended";
         return 2;
     }
     if (read_u64(p + 16) != crc32_of(p + 24, size - 24)) {
-        *why = "the record's check sum is wrong: its content was changed or damaged";
+        *why = "the checksum of the record is wrong: its content was changed or damaged";
         return 3;
     }
     const uint64_t n = read_u64(p + 24);
     if (n > (size - HEADER) / ENTRY) {
-        *why = "the record's table of entries does not fit in it";
+        *why = "the table of entries is larger than the record";
         return 4;
     }
     for (size_t k = 0; k < n; ++k) {

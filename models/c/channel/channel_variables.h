@@ -36,7 +36,7 @@
  * the instant at which a packet is missed, or an outage begins, until the next
  * one is delivered; on_loss rules in between. Until the first one arrives y is
  * u(start), stamped with the start.
- *   sent = delivered + dropped + late + on their way;  age = t - newest stamp
+ *   sent = delivered + dropped + late + in transit;  age = t - newest stamp
  * (continuous: the latency, growing in an outage). Packets are counted when due.
  *
  * Random numbers are a hash of (seed, packet number, purpose): the same packets
@@ -70,7 +70,7 @@ enum {
 enum { IP_ON_LOSS, IP_SEED, IP_FAULTS, IP_COUNT = IP_FAULTS + SIGNAL_FAULTS };
 enum { IY_VALID, IY_SENT, IY_DELIVERED, IY_DROPPED, IY_LATE, IY_COUNT };
 
-/* Discrete state: a head, packets on their way, then the ring of samples. */
+/* Discrete state: a head, packets in transit, then the ring of samples. */
 enum {
     M_SAMPLES, M_HELD, M_HELD_SINCE, M_HAS_HELD,
     M_FIRST, M_NEXT, M_BAD, M_NEWEST, M_RECEIVED, M_LOST, M_LOST_SINCE, M_IN_FLIGHT,

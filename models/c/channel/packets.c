@@ -38,7 +38,7 @@ BlockStatus packets_check(const Block *b, BlockMessage *message)
     if (p[P_GOOD_TO_BAD] > 0.0 && !(p[P_BAD_TO_GOOD] > 0.0)) bad = "bad_to_good must be positive";
     int ascends = within(q, 0, CHANNEL_QUANTILES - 1, 1e6);
     for (int k = 1; k < CHANNEL_QUANTILES; ++k) ascends = ascends && q[k] >= q[k - 1];
-    if (!ascends) bad = "quantile[1], quantile[2], ... must not be negative nor descend";
+    if (!ascends) bad = "quantile[1], quantile[2], ... must be non-negative and non-decreasing";
     if (p[P_REPORTING] == 0.0 && wants_packets(p))
         bad = "jitter, quantile, loss and pdc_wait act on packets: set reporting_interval";
     if (bad == NULL) return BLOCK_OK;
@@ -77,8 +77,8 @@ static BlockStatus post(Block *b, BlockMessage *message)
     const double move = packet_random(b->ip[IP_SEED], number, STREAM_STATE);
 
     if ((int)m[M_IN_FLIGHT] >= CHANNEL_IN_FLIGHT) {
-        snprintf(message->text, sizeof message->text, "channel: at time %.9g s more than %d packets are on "
-                 "their way; shorten the latency or lengthen reporting_interval",
+        snprintf(message->text, sizeof message->text, "channel: at time %.9g s more than %d packets are in "
+                 "transit; shorten the latency or lengthen reporting_interval",
                  number * b->p[P_REPORTING], CHANNEL_IN_FLIGHT);
         return BLOCK_ERROR;
     }

@@ -21,7 +21,7 @@
  * that for `hold_time` after the first set without the signal, then zero.
  * Until the first set comes out y[i] is u[i](start) and valid.
  * Faults make what PMU i sends wrong, its flag up (channel/signal_fault.h).
- *   sent = delivered + dropped + late + on their way (frames, all signals);
+ *   sent = delivered + dropped + late + in transit (frames, all signals);
  *   age = t - stamp of the newest set. Frames are counted when their set comes out.
  *
  * Random numbers are a hash of (seed, k, i), as a channel's. y jumps when a set

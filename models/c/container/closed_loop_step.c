@@ -368,7 +368,7 @@ static BlockStatus step_once(ClosedLoop *l, double t, double end, BlockMessage *
         error = correct(l, h);
         if (!again || error <= TOLERANCE) break;
         if (sweep == LOOP_SWEEPS) {
-            snprintf(message->text, sizeof message->text, "loop: the step from %.9g to %.9g s does not settle "
+            snprintf(message->text, sizeof message->text, "loop: the step from %.9g to %.9g s does not converge "
                      "in %d sweeps; relative change %.3g", t, end, LOOP_SWEEPS, error);
             return BLOCK_ERROR;
         }

@@ -112,7 +112,7 @@ BlockStatus block_needs(const Record *record, const BlockLayout *layout, BlockNe
 
     if (!fits) {
         snprintf(message->text, sizeof message->text,
-                 "controller: %zu states, %zu inputs, %zu outputs and %zu guards do not go with %zu parameters",
+                 "controller: %zu states, %zu inputs, %zu outputs and %zu guards do not match %zu parameters",
                  layout->n_x, m, p, guards, layout->n_p);
         return BLOCK_ERROR;
     }

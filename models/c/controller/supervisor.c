@@ -90,7 +90,7 @@ BlockStatus block_needs(const Record *record, const BlockLayout *n, BlockNeeds *
         || n->n_p != P_COUNT + (guards > 0 ? guards + 3 : 0)
         || n->n_iu != bank.signals || n->n_iy != IY_COUNT || n->n_w + n->n_iw + n->n_ip > 0) {
         snprintf(message->text, sizeof message->text,
-                 "supervisor: the variables and the bank in the record do not fit each other");
+                 "supervisor: the variables do not match the bank in the record");
         return BLOCK_ERROR;
     }
     needs->n_memory = M_SIGNALS + S_COUNT * bank.signals;

@@ -90,8 +90,8 @@ static BlockStatus unsolved(const Block *b, size_t stuck, double t, BlockMessage
     const char *const what = port_is_load(row) ? "a load that is not constant impedance"
                            : port_is_machine(row) ? "the saturation of a machine" : "a device at the bus";
     return plant_fail(message, BLOCK_DISCARD,
-                      "network: no voltage found at bus %s for %s at t = %.9g s (Newton's method, residual "
-                      "still above 1e-11 pu); the voltage there has collapsed or a state is not finite",
+                      "network: no voltage solution at bus %s with %s at t = %.9g s (Newton's method, residual "
+                      "above 1e-11 pu); the voltage has collapsed or a state is not finite",
                       plant_name(net.bus_names, port_bus(&net, row), name), what, t);
 }
 

@@ -34,7 +34,7 @@ _TERMINAL = {
 }
 _AT_BUS = {
     "vt": "voltage of the regulated bus, pu",
-    "vs": "modulation: what the FMU's input adds at the summing point, pu",
+    "vs": "modulation input, added at the summing point, pu",
 }
 KINDS: dict[str, Kind] = {
     "governor": Kind(
@@ -48,12 +48,12 @@ KINDS: dict[str, Kind] = {
         {"ifd": "field current Xad ifd, pu"} | _TERMINAL,
         "vl",
         (),
-        "limiter of the excitation: what is added where the exciter adds the stabilizer's signal",
+        "excitation limiter: signal added at the input of the stabilizer signal",
     ),
     "exciter": Kind(
         {
-            "vc": "terminal voltage, compensated where there is a compensator, pu",
-            "vs": "signals added at the summing point: stabilizer, steps, the FMU's input, pu",
+            "vc": "terminal voltage, from the compensator if there is one, pu",
+            "vs": "signals added at the summing point: stabilizer, steps, modulation input, pu",
             "ifd": "field current Xad ifd, pu",
         }
         | _TERMINAL,
@@ -69,13 +69,13 @@ KINDS: dict[str, Kind] = {
             "p": "active power into the network, pu of its base",
             "q": "reactive power into the network, pu of its base",
             "p_mod": "modulation of the active power, pu of its base",
-            "q_mod": "modulation where the reactive reference is added, pu of its base",
-            "vr": "direction of its voltage in the synchronous frame, real part; below .1 pu less than 1",
+            "q_mod": "modulation of the reactive reference, pu of its base",
+            "vr": "direction of its voltage in the synchronous frame, real part; shorter than 1 below .1 pu",
             "vi": "direction of its voltage in the synchronous frame, imaginary part",
-            "vreg": "voltage of the bus that a plant control regulates, its own unless the case says, pu",
-            "vdrop": "with plant_VCFLAG = 1 that less (plant_Rc + j plant_Xc) times the current measured, pu",
-            "pbr": "active power into the branch that a plant control measures, else its own, pu of its base",
-            "qbr": "reactive power into that branch, else its own, pu of its base",
+            "vreg": "voltage of the bus that a plant control regulates, by default its own, pu",
+            "vdrop": "with plant_VCFLAG = 1 that voltage less (plant_Rc + j plant_Xc) times the current, pu",
+            "pbr": "active power into the branch measured by a plant control, default its own, pu of base",
+            "qbr": "reactive power into that branch, by default its own, pu of its base",
         },
         "ip",
         ("pref", "qref"),
@@ -101,7 +101,7 @@ KINDS: dict[str, Kind] = {
             "p": "active power into the network, pu of its base",
             "q": "reactive power into the network, pu of its base",
             "p_mod": "modulation of the active power, pu of its base",
-            "q_mod": "modulation where the reactive or voltage reference is added, pu of its base",
+            "q_mod": "modulation of the reactive power or voltage reference, pu of its base",
             "vr": "voltage of its bus in the synchronous frame, real part, pu",
             "vi": "voltage of its bus in the synchronous frame, imaginary part, pu",
             "ir": "current into the network in the synchronous frame, real part, pu of its base",

@@ -126,7 +126,7 @@ def test_run_explains_delays_and_packets_and_tests_itself(interarea, tmp_path: P
     assert f"remote: sent {sent:g}, delivered" in out and "age max" in out
     ledger = json.loads((tmp_path / "out" / "ledger.json").read_text())
     counts = ledger["packets"]["remote"]
-    assert counts["sent"] == sum(counts[k] for k in ("delivered", "dropped", "late", "on their way"))
+    assert counts["sent"] == sum(counts[k] for k in ("delivered", "dropped", "late", "in transit"))
     assert counts["dropped"] > 0
     code, out, _ = interarea("run", file, "--self-test")
     assert code == 0 and "trajectory.csv" not in out

@@ -140,7 +140,7 @@ void relay_tell(const Block *b, const Plan *plan, const Network *net, double t, 
         const int *i = slot_integers(b, plan, k);
         char name[64];
         if (!relay_is(i[SLOT_KIND]) || s[RELAY_OPENS] != t || message->text[0] != '\0') continue;
-        (void)plant_fail(message, BLOCK_OK, "event[%zu]: the relay at bus %s saw %.4g Hz for %g s, its breaker opens",
+        (void)plant_fail(message, BLOCK_OK, "event[%zu]: relay at bus %s opens its breaker: frequency %.4g Hz for %g s",
                          k + 1, plant_name(net->bus_names, bus_of(net, i), name),
                          s[RELAY_FREQUENCY] * rated_hz(b->memory), slot_reals(b, plan, k)[SLOT_DELAY]);
     }

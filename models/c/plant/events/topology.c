@@ -259,7 +259,7 @@ static void tell_parts(const double *memory, const Plan *plan, const Network *ne
     if (memory[H_DEAD] > 0.0) {
         while (k + 1 < plan->n_bus && !(dead[k] > 0.5)) ++k;
         if (memory[H_DEAD] > 1.0) (void)snprintf(rest, sizeof rest, " and %.0f more", memory[H_DEAD] - 1.0);
-        (void)plant_fail(message, BLOCK_OK, "network: bus %s%s, cut off without a machine that runs, taken out; ",
+        (void)plant_fail(message, BLOCK_OK, "network: bus %s%s removed, no running machine is connected to it; ",
                          plant_name(net->bus_names, k, name), rest);
     } else {
         (void)plant_fail(message, BLOCK_OK, "network: ");
@@ -267,10 +267,10 @@ static void tell_parts(const double *memory, const Plan *plan, const Network *ne
     length = strlen(message->text);
     if (memory[H_PARTS] > 1.0)
         (void)snprintf(message->text + length, sizeof message->text - length,
-                       "%.0f parts go on, each about a centre of inertia of its own", memory[H_PARTS]);
+                       "%.0f islands remain, each with its own centre of inertia", memory[H_PARTS]);
     else
         (void)snprintf(message->text + length, sizeof message->text - length, "%s",
-                       memory[H_DEAD] > 0.0 ? "the rest goes on" : "all buses hang together again");
+                       memory[H_DEAD] > 0.0 ? "the rest remains connected" : "all buses are connected again");
 }
 
 static BlockStatus dense_stage(double *memory, const Plan *plan, const Network *net, const double *extra,

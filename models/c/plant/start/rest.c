@@ -163,7 +163,7 @@ BlockStatus rest_settle(Block *b, const Plan *plan, const Network *net, BlockMes
             if (!settle_device(b, plan, row, k, given, rest)) {
                 const size_t machine = index_at(b->memory + index_at(row, G_MACHINE), k);
                 return plant_fail(message, BLOCK_ERROR,
-                                  "%s%s: no rest at the operating point with these parameters: a limit excludes it",
+                                  "%s%s: no equilibrium at the operating point: a limit excludes it with these parameters",
                                   plant_name(net->machine_names, machine, name), kinds[device_kind(device)]);
             }
         given += count * device_given(device);

@@ -26,8 +26,8 @@ def test_a_cut_is_a_remark_and_no_error(cache: Path) -> None:
             plant.step(0.01 * k, 0.01)  # raises on any status but OK
         said = plant.log[len(before) :]
         assert [text for text in said if "cut off" in text] == [
-            "network: bus 7, cut off without a machine that runs, taken out; "
-            "2 parts go on, each about a centre of inertia of its own"
+            "network: bus 7 removed, no running machine is connected to it; "
+            "2 islands remain, each with its own centre of inertia"
         ]
         assert plant.get("bus7.v") == pytest.approx(0.0, abs=1e-12)
         assert abs(plant.get("G1_dw")) > 1e-6

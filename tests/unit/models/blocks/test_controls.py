@@ -233,7 +233,7 @@ def test_any_parameter_keeps_the_equilibrium(exciter, change):
     ],
 )
 def test_limits_that_exclude_the_operating_point_are_refused(exciter, parameters, says):
-    with pytest.raises(BlockFailure, match=r"G1.exciter: no rest .* a limit excludes it"):
+    with pytest.raises(BlockFailure, match=r"G1.exciter: no equilibrium .* a limit excludes it"):
         plant_with(exciter, **{f"G1.exciter.{key}": value for key, value in parameters.items()})
     with pytest.raises(CaseError, match=says):
         plant_with(exciter | parameters)

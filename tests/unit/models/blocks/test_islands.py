@@ -115,7 +115,7 @@ def test_the_remark_names_what_is_cut_off_once(form: str) -> None:
         plant.event(time, plant.x)
         said.append(plant.message.value.decode())
     assert said[0] == (
-        "network: bus 7, cut off without a machine that runs, taken out; "
-        "2 parts go on, each about a centre of inertia of its own"
+        "network: bus 7 removed, no running machine is connected to it; "
+        "2 islands remain, each with its own centre of inertia"
     )
-    assert said[1:] == ["", "network: all buses hang together again"]
+    assert said[1:] == ["", "network: all buses are connected again"]

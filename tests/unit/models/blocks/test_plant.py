@@ -253,7 +253,7 @@ def test_field_limit_does_not_wind_up():
         ({"event[1].kind": 1, "event[1].x": 0.0}, "jx"),
         ({"G1.exciter.KA": np.nan}, r"G1.exciter.KA"),
         ({"G1.exciter.TA": -1.0}, r"G1.exciter.TA = -1"),
-        ({"G1.exciter.Efd_max": 0.5}, "G1.exciter: no rest"),
+        ({"G1.exciter.Efd_max": 0.5}, "G1.exciter: no equilibrium"),
     ],
 )
 def test_bad_parameters_are_refused_by_name(parameters, says):
