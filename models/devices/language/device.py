@@ -110,7 +110,7 @@ KINDS: dict[str, Kind] = {
         "delta",
         ("pset", "vset"),
         "angle `delta`, rad, and size `e`, pu, of the voltage behind a grid-forming converter's impedance; "
-        "a line `theta` rests at the angle of the voltage of its bus, rad",
+        "a signal `theta` starts at the angle of the voltage of its bus, rad",
         ("e",),
         ("Re", "Xe", "Imax"),
     ),
