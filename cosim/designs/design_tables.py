@@ -157,7 +157,7 @@ class StageTable(Table):
     steps: Annotated[int, Field(ge=1)] = 40  #: of the descent at each value of `rho`, at most
     #: (rad/s, damping) as `offset` of the design, in this stage alone; none: that of the design
     offset: Offsets = ()
-    #: s, of each start: no step is begun after it, so that a slower machine may reach less; none: no bound
+    #: s of processor time of each start, after which it begins no step; none: no bound
     longest_s: Positive | None = None
 
     def stage(self) -> Stage:

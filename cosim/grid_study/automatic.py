@@ -310,7 +310,8 @@ def _searched_with(
 def _without_time(clock: Clock) -> tuple[str, ...]:
     if not clock.left_out:
         return ()
-    return (f"Within {clock.minutes:g} minutes these were not computed: {'; '.join(clock.left_out)}.",)
+    rows = "; ".join(clock.left_out)
+    return (f"Within {clock.minutes:g} minutes of processor time these were not computed: {rows}.",)
 
 
 def _searched(table: DesignTable, cache: Path, progress: Callable[[float], object]) -> Controller:

@@ -37,7 +37,8 @@ class Choices(Table):
         Field(description="PSS/E dynamic data of a RAW file, relative path", examples=["mine.dyr"]),
     ] = None
     minutes: Annotated[
-        float, Field(gt=0.0, description="time limit; the page lists parts omitted for lack of time")
+        float,
+        Field(gt=0.0, description="limit of the processor time; the page lists the parts that exceed it"),
     ] = MINUTES
     #: none: what `wanted` says
     inter_area: Annotated[

@@ -1,10 +1,11 @@
-"""The time that a study may take, shared out to its stages, and what was left out when it was over."""
+"""The processor time of a study, its shares for the stages, and what was left out when it was over."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from time import monotonic
+
+from interarea.models.processes import processor_s
 
 from .choices import MINUTES
 
@@ -27,11 +28,14 @@ GUESS, SEARCH = 0.025, 0.1
 
 @dataclass
 class Clock:
-    """Runs from when it was made. left_out : in words, what there was no time for. ends : of its stages."""
+    """Runs from when it was made, in processor time: the result does not depend on the load of the machine.
+
+    left_out : in words, what there was no time for. ends : of its stages.
+    """
 
     minutes: float = MINUTES
     left_out: list[str] = field(default_factory=list)
-    now: Callable[[], float] = monotonic
+    now: Callable[[], float] = processor_s
     ends: dict[str, float] = field(default_factory=lambda: dict(ENDS))
 
     def __post_init__(self) -> None:

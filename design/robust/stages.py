@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from time import monotonic
 
 import numpy as np
+
+from interarea.models.processes import processor_s
 
 from ..linear.matrices import ZERO_EIGENVALUE
 from .first_guess import first_guess
@@ -34,7 +35,7 @@ class Stage:
     rho : how closely the smoothed worst follows the worst, from one to the next.
     steps : of the descent at each, at most.
     offsets : how much more than elsewhere a band is wanted in this stage; none: as in the whole.
-    longest_s : after which no more step is begun, of each start; what is reached by then goes on.
+    longest_s : of processor time, after which no more step is begun, of each start; what is reached goes on.
     """
 
     points: tuple[str, ...] = ()
@@ -151,10 +152,10 @@ def _through(
     tell: Callable[[float, float], object],
 ) -> tuple[Array, int]:
     """Steps at each rho, and some of `descend` where they end: two eigenvalues may have met."""
-    end = monotonic() + stage.longest_s
+    end = processor_s() + stage.longest_s
 
     def over() -> bool:
-        return monotonic() > end
+        return processor_s() > end
 
     theta, count = stabilised(objective, theta, descend, over)
     for k, rho in enumerate(stage.rho):

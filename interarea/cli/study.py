@@ -45,7 +45,7 @@ Minutes = Annotated[
         "--minutes",
         metavar="MIN",
         min=0.1,
-        help="of a grid: time limit (else 10, worth 30, inverters 60); the rest is omitted",
+        help="of a grid: processor time at most (else 10, worth 30, inverters 60); the rest is omitted",
     ),
 ]
 OutFolder = Annotated[

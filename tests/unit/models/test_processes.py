@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from interarea.models.processes import process_pool, run_guarded
+from interarea.models.processes import process_pool, processor_s, run_guarded
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals and process groups")
 
@@ -159,3 +159,17 @@ def test_a_command_gives_code_and_text() -> None:
     assert run_guarded(["cat"]).stdout == "", "standard input is empty, not the lifeline"
     with pytest.raises(subprocess.TimeoutExpired):
         run_guarded(["sleep", "60"], timeout_s=0.2)
+
+
+def test_processor_time_counts_work_of_ended_children_but_no_waiting() -> None:
+    """A child states its own processor time; a second of sleep costs nearly none."""
+    busy = "import time\nwhile time.process_time() < 0.5: pass\nprint(time.process_time())"
+    before = processor_s()
+    time.sleep(1.0)
+    waited = processor_s() - before
+    own = float(
+        subprocess.run([sys.executable, "-c", busy], capture_output=True, text=True, check=True).stdout
+    )
+    spent = processor_s() - before - waited
+    assert waited < 0.5
+    assert own <= spent + 0.02  # os.times counts in hundredths

@@ -110,7 +110,10 @@ def test_loops_stand_on_the_page_before_the_first_design(
     assert study["loops"][0]["actuators"] == ["G4_vs"]
     ended = write_page(study | {"problem": None, "versions": {}}, (), (), tmp_path / "ended.html")
     text = ended.read_text(encoding="utf-8")
-    assert "Latency: not computed within 10 minutes; run the command again with more --minutes" in text
+    assert (
+        "Latency: not computed within 10 minutes of processor time; run the command again with more --minutes"
+        in text
+    )
     assert "not computed yet; the command" not in text
 
 
