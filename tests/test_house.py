@@ -55,6 +55,7 @@ C_ORDER = [
 ]
 C_FILES = {p for p in SOURCES if p.suffix in {".c", ".h"}}
 LONGEST_FILE = 450  # lines: what a person reads in one sitting
+MOST_LINES_OF_DLLS = 1200  # what a second interface to the same blocks was allowed, before it was written
 MOST_PATHS = 15  # through a function: what a person can test
 LONGEST_FUNCTION = 80  # lines after its signature and docstring
 MOST_MODULES = 16  # in a folder: what a person takes in at a glance
@@ -243,6 +244,13 @@ def test_every_package_is_installed() -> None:
 def test_a_file_is_read_in_one_sitting(path: Path) -> None:
     lines = path.read_text(encoding="utf-8").count("\n")
     assert lines <= LONGEST_FILE, f"{_name(path)} has {lines} lines; does it hold more than one thing?"
+
+
+def test_dlls_are_a_front_of_what_fmus_have() -> None:
+    """Export, check and import of IEEE/CIGRE DLLs: more lines would be a second layer beside that of FMUs."""
+    files = [p for p in SOURCES if p.stem == "real_code" or _name(p) == "models/c/container/chain.h"]
+    lines = {_name(p): p.read_text(encoding="utf-8").count("\n") for p in files}
+    assert len(files) == 7 and sum(lines.values()) <= MOST_LINES_OF_DLLS, lines
 
 
 def test_no_drawers() -> None:

@@ -33,8 +33,7 @@ class ServedRealCode:
         title = text_of(library.info.name)
         self.description = Description(inputs, held, {}, input_order=3, saves_state=True, title=title)
         self.stops_early = False
-        self.log = SpokenLog(name, lambda: self.time_s)
-        self.time_s: float | None = None
+        self.log = SpokenLog(name, lambda: self._model.raw.time)
         self._begun = False
         self.y: list[float] = []
         self.dy = ()  #: outputs are held
@@ -54,10 +53,9 @@ class ServedRealCode:
     def begin(self, start_s: float, stop_s: float) -> None:
         """Begin what `set_start` has made."""
         self._begun = True
-        self.time_s = self._origin = start_s
-        self._sample = 0
+        self._origin, self._sample = start_s, 0
         self._poly: dict[str, Polynomial] = {}
-        self._call("Model_FirstCall")
+        self._call("Model_FirstCall", start_s)
         self._call("Model_CheckParameters")
 
     def ready(self) -> None:
@@ -78,10 +76,8 @@ class ServedRealCode:
         while (at := self._origin + (self._sample + 1) * step) <= time_s + length_s + _SLACK * step:
             for name, polynomial in self._poly.items():
                 self._model.inputs[name] = value_at(polynomial, at - time_s)
-            self.time_s = at
-            self._call("Model_Outputs")
+            self._call("Model_Outputs", at)
             self._sample += 1
-        self.time_s = time_s + length_s
 
     def receive(self, slopes: bool) -> None:
         """Read the outputs; they have no slopes."""
@@ -89,11 +85,11 @@ class ServedRealCode:
 
     def save(self) -> tuple[Any, ...]:
         """Return a copy of the state."""
-        return self._model.snapshot(), self._sample, self.time_s, dict(self._poly)
+        return self._model.snapshot(), self._sample, dict(self._poly)
 
     def restore(self, state: tuple[Any, ...]) -> None:
         """Go back to a copy."""
-        snapshot, self._sample, self.time_s, poly = state
+        snapshot, self._sample, poly = state
         self._poly = dict(poly)
         self._model.restore(snapshot)
 
@@ -106,8 +102,8 @@ class ServedRealCode:
             self._model.call("Model_Terminate")
         self._begun = False
 
-    def _call(self, name: str) -> None:
-        code, at, text = self._model.call(name, self.time_s), self.time_s, self._model.text()
+    def _call(self, name: str, time_s: float | None = None) -> None:
+        code, text, at = self._model.call(name, time_s), self._model.text(), self._model.raw.time
         if code >= ERROR:
             raise StepError(f"return code {code}", instance=self.name, call=name, time_s=at, last_log=text)
         if code > OK and text:

@@ -24,30 +24,14 @@ INTERFACE = "DLL"
 _STEPS = 40
 _UNWRITTEN = 0xA5  #: bytes between outputs
 _Swing = tuple[float, float]  #: mean and amplitude of the inputs
-_NEAR_ONE: _Swing = (1.0, 0.1)
-_SWINGS: tuple[_Swing, ...] = (_NEAR_ONE, (0.0, 1e-3))
-#: topic and rule -> what is wrong where a run is another one when a tool does that besides, what to do
+_SWINGS: tuple[_Swing, ...] = ((1.0, 0.1), (0.0, 1e-3))
+#: topic and rule -> where a run is another one than usual, what to do
 _BESIDES = {
-    "alignment": (
-        "reads bytes of a structure that lie between its ports",
-        "lay structures out in natural alignment: no packing",
-    ),
-    "repeated calls": (
-        "Model_Initialize called five times gives another run than called once",
-        "start from the arguments alone: tools call it until the release time",
-    ),
-    "restart": (
-        "after a run, Model_Initialize at time 0 does not begin the same run",
-        "set every state in Model_Initialize: time goes back in multiple runs",
-    ),
-    "instances": (
-        "an instance runs otherwise when another one runs beside it",
-        "keep no variable of a run outside the instance: no globals, no static",
-    ),
-    "snapshots": (
-        "continued from its state arrays it runs otherwise",
-        "keep all states in IntStates, FloatStates and DoubleStates",
-    ),
+    "alignment": ("with other bytes between its ports", "lay structures out in natural alignment, unpacked"),
+    "repeated calls": ("after five calls of Model_Initialize", "start from the arguments alone, each time"),
+    "restart": ("begun again at time 0", "set all states in Model_Initialize: multiple runs go back in time"),
+    "instances": ("beside another instance", "keep no variable of a run outside the instance: no globals"),
+    "snapshots": ("continued from its state arrays", "keep states in IntStates, FloatStates, DoubleStates"),
 }
 
 
@@ -79,7 +63,7 @@ def check_library(path: Path, report: Report) -> bool:
 class _Tool(RealCode):
     """An instance as a tool drives it; `code` is what its start or its last step has returned."""
 
-    def __init__(self, library: RealCodeLibrary, swing: _Swing = _NEAR_ONE) -> None:
+    def __init__(self, library: RealCodeLibrary, swing: _Swing = _SWINGS[0]) -> None:
         super().__init__(library)
         self.swing, self.step_s = swing, library.info.sample_time
 
@@ -145,29 +129,11 @@ def description(library: RealCodeLibrary, tell: Tell) -> None:
             tell("DLL ranges", p.name, reason, "put the default into the range")
     if not info.sample_time > 0.0:
         tell("DLL sample time", INTERFACE, f"is {info.sample_time:g} s", "give a time above 0")
-    version = tuple(info.version)
-    if version[0] != 1:
-        tell("DLL version", INTERFACE, f"is {version}, allowed: 1.x", "write the interface's version")
+    if info.version[0] != 1:
+        tell("DLL version", INTERFACE, f"is {[*info.version]}, allowed: 1.x", "write the interface's version")
     model = _Tool(library).start()
     if model.code >= ERROR:
-        reason = f"refuses its own defaults: {model.text()}"
-        tell("DLL start", INTERFACE, reason, "give defaults that it takes")
-
-
-def finite(library: RealCodeLibrary, tell: Tell) -> None:
-    """Finite inputs near 1 give finite outputs, or a return code of 2."""
-    model = _Tool(library).start()
-    if model.code >= ERROR:
-        return
-    reals = [p.name for p in library.outputs if p.type in (8, 9)]
-    for k in range(1, 4 * _STEPS):
-        model.swing = _NEAR_ONE if k < 2 * _STEPS else (1.0, 0.5)
-        model.step(k)
-        bad = [name for name in reals if not math.isfinite(model.outputs[name])]
-        if bad and model.code < ERROR:
-            reason = f"is {model.outputs[bad[0]]} after finite inputs with return code {model.code}"
-            tell("DLL errors", bad[0], reason, "return 2 with LastErrorMessage")
-            return
+        tell("DLL start", INTERFACE, f"refuses its defaults: {model.text()}", "give defaults that it takes")
 
 
 def _rows(library: RealCodeLibrary, swing: _Swing, besides: str = "") -> list[bytes]:
@@ -195,7 +161,8 @@ def _compare(besides: str, library: RealCodeLibrary, tell: Tell) -> None:
     for swing in _SWINGS:
         one, other = (_rows(library, swing, act) for act in ("", besides))
         if one != other and (besides != "alignment" or _rows(library, swing) == one):
-            tell(f"DLL {besides}", INTERFACE, *_BESIDES[besides])
+            when, fix = _BESIDES[besides]
+            tell(f"DLL {besides}", INTERFACE, f"runs otherwise {when}", fix)
             return
 
 
@@ -248,23 +215,28 @@ def leaks(library: RealCodeLibrary, tell: Tell) -> None:
 
 
 def bounds(library: RealCodeLibrary, tell: Tell) -> None:
-    """Nothing is written beside the arrays of states, nor between outputs, nor over the tool's time."""
-    for swing in _SWINGS:
+    """Outputs are finite or the code is 2; nothing is written beside states, between outputs, over Time."""
+    reals = [p.name for p in library.outputs if p.type in (8, 9)]
+    for swing in (*_SWINGS, (1.0, 0.5)):
         model = _Tool(library, swing).start()
-        rows = model.run()
+        for k in range(1, 4 * _STEPS):
+            model.step(k)
+            bad = [name for name in reals if not math.isfinite(model.outputs[name])]
+            if bad and model.code < ERROR:
+                reason = f"is {model.outputs[bad[0]]} after finite inputs with return code {model.code}"
+                tell("DLL errors", bad[0], reason, "return 2 with LastErrorMessage")
+                break
         for name in model.overrun():
             tell("DLL states", name, "is written beyond its declared number", "declare as many as it writes")
-        if any(row[at] != _UNWRITTEN for row in rows for at in _gaps(model.outputs)):
-            reason = "writes bytes of a structure that lie between its ports"
-            tell("DLL alignment", INTERFACE, reason, _BESIDES["alignment"][1])
-        if model.raw.time != (_STEPS - 1) * model.step_s:
+        if any(model.outputs.buffer[at] != _UNWRITTEN for at in _gaps(model.outputs)):
+            tell("DLL alignment", INTERFACE, "writes bytes between its outputs", _BESIDES["alignment"][1])
+        if model.raw.time != k * model.step_s:
             tell("DLL time", INTERFACE, "Model_Outputs changes Time", "leave Time to the tool")
 
 
 TOPICS: dict[str, Callable[[RealCodeLibrary, Tell], None]] = {
     "description": description,
     "bounds": bounds,
-    "finite outputs": finite,
     **{besides: partial(_compare, besides) for besides in _BESIDES},
     "messages": messages,
     "leaks": leaks,

@@ -85,8 +85,7 @@ class RealCodeLibrary:
 
     Raises
     ------
-    FmuFileError : a file that the system cannot load, one without the interface's functions, one that gives
-        no description, or one whose ports have types that the interface does not know.
+    FmuFileError : a file that the system cannot load, or one that does not keep to the interface.
     """
 
     def __init__(self, path: Path | str) -> None:
@@ -103,20 +102,15 @@ class RealCodeLibrary:
         if not info:
             raise FmuFileError(f"{path}: Model_GetInfo gives no description")
         i = self.info = info.contents
-        if min(i.n_int, i.n_float, i.n_double) < 0:
-            raise FmuFileError(f"{path}: Model_GetInfo gives a negative number of states")
-        self.inputs = self._ports(i.n_inputs, i.inputs)
-        self.outputs = self._ports(i.n_outputs, i.outputs)
-        self.parameters = self._ports(i.n_parameters, i.parameters)
+        lists = ((i.n_inputs, i.inputs), (i.n_outputs, i.outputs), (i.n_parameters, i.parameters))
+        numbers = [i.n_inputs, i.n_outputs, i.n_parameters, i.n_int, i.n_float, i.n_double]
+        if min(numbers) < 0 or any(count and not ports for count, ports in lists):
+            raise FmuFileError(f"{path}: Model_GetInfo gives {numbers} ports and states, or no list of them")
+        self.inputs, self.outputs, self.parameters = (tuple(map(_port, ports[:n])) for n, ports in lists)
         self.ports = (*self.parameters, *self.inputs, *self.outputs)
         bad = [p.name for p in self.ports if p.type not in TYPES or p.width < 1]
         if bad:
             raise FmuFileError(f"{path}: {', '.join(bad)}: type or width that the interface does not know")
-
-    def _ports(self, count: int, array: Any) -> tuple[Port, ...]:
-        if count < 0 or (count and not array):
-            raise FmuFileError(f"{self.path}: Model_GetInfo gives {count} ports, or none in their list")
-        return tuple(map(_port, array[:count]))
 
 
 class Values:
@@ -126,22 +120,17 @@ class Values:
         kind = structure(*(x for k, p in enumerate(ports) for x in (f"f{k}", TYPES[p.type] * p.width)))
         self.buffer = bytearray(sizeof(kind))
         self.structure = kind.from_buffer(self.buffer)
-        self._arrays = {p.name: getattr(self.structure, f"f{k}") for k, p in enumerate(ports)}
+        self.arrays = {p.name: getattr(self.structure, f"f{k}") for k, p in enumerate(ports)}
 
     def __setitem__(self, name: str, value: float | str) -> None:
-        array = self._arrays[name]
-        if isinstance(value, str):
-            array[0] = value.encode()
-        elif array._type_ is c_char_p:
+        array = self.arrays[name]
+        if isinstance(value, str) != (array._type_ is c_char_p):
             raise TypeError("a number is no text")  # ctypes would take it for an address
-        else:
-            array[0] = int(value) if isinstance(array[0], int) else value
+        whole = isinstance(array[0], int)
+        array[0] = value.encode() if isinstance(value, str) else int(value) if whole else value
 
     def __getitem__(self, name: str) -> float:
-        return float(self._arrays[name][0])
-
-    def __contains__(self, name: str) -> bool:
-        return name in self._arrays
+        return float(self.arrays[name][0])
 
 
 class RealCode:
@@ -162,7 +151,7 @@ class RealCode:
         for p in library.parameters:
             self.parameters[p.name] = p.start
         for name, value in (start or {}).items():
-            places = [values for values in groups if name in values]
+            places = [values for values in groups if name in values.arrays]
             if not places:
                 known = nearest(name, (p.name for p in library.ports))
                 raise FmuFileError(f"no {name!r} in {library.path.name}; {known}")
@@ -170,8 +159,8 @@ class RealCode:
                 for values in places:
                     values[name] = value
             except (TypeError, ValueError, OverflowError) as error:
-                wanted = "a number" if isinstance(value, str) else "a text, or a number of the port's type"
-                raise FmuFileError(f"{library.path.name}: {name} = {value!r}, allowed: {wanted}") from error
+                wanted = "allowed: a number of the port's type, or a text where the port is one"
+                raise FmuFileError(f"{library.path.name}: {name} = {value!r}, {wanted}") from error
         words = {"IntStates": info.n_int, "FloatStates": info.n_float, "DoubleStates": 2 * info.n_double}
         self.states = {name: bytearray(_GUARD + bytes(4 * n) + _GUARD) for name, n in words.items()}
         states = (addressof(c_uint8.from_buffer(array, len(_GUARD))) for array in self.states.values())

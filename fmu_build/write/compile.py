@@ -18,7 +18,7 @@ import shutil
 import struct
 import sys
 import zlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -141,9 +141,19 @@ def compile_library(
     ------
     BuildError : unknown platform, no compiler, or the compiler's own message.
     """
-    if platform not in PLATFORMS:
-        raise BuildError(f"unknown platform {platform!r}; allowed: {', '.join(PLATFORMS)}")
-    return compile_for(kind, sources, PLATFORMS[platform], cache=cache)
+    return compile_for(kind, sources, platform_of(platform), cache=cache)
+
+
+def platform_of(name: str, known: Mapping[str, Platform] = PLATFORMS) -> Platform:
+    """Return a platform by name.
+
+    Raises
+    ------
+    BuildError : a name that is not `known`.
+    """
+    if name not in known:
+        raise BuildError(f"unknown platform {name!r}; allowed: {', '.join(known)}")
+    return known[name]
 
 
 def compile_for(kind: str, sources: dict[str, bytes], to: Platform, *, cache: Path | None = None) -> Path:

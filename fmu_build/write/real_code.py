@@ -21,7 +21,7 @@ from interarea.models.blocks.variables import Block, Variable
 from interarea.models.files import write_whole
 
 from ..errors import BuildError
-from .compile import PLATFORMS, Platform, compile_for
+from .compile import PLATFORMS, Platform, compile_for, platform_of
 from .description_xml import integer_range, product_version, record_entries
 from .sources import fmi_sources, gather_sources, record_source
 
@@ -37,8 +37,7 @@ _ENTRY = re.compile(r"[A-Za-z_]\w*\[\d+,\d+\]")  #: of a matrix
 
 #: Where such a library runs, by name; tools with 32 bits (ATP) take win32.
 DLL_PLATFORMS: dict[str, Platform] = {
-    "linux64": PLATFORMS["linux64"],
-    "win64": PLATFORMS["win64"],
+    **{name: PLATFORMS[name] for name in ("linux64", "win64")},
     "win32": Platform("win32", "win32", ("x86-windows-gnu",), ".dll", (), ("-Wl,-s",)),
 }
 
@@ -92,28 +91,16 @@ def build_dll(
     BuildError : an unknown platform, a sample time that is not positive, a block that is a whole plant, or
         the compiler's message.
     """
-    suffix = suffix_of(platform)
+    to = platform_of(platform, DLL_PLATFORMS)
     if not 0.0 < sample_time_s < 1e6:
         raise BuildError(f"sample time of a DLL: {sample_time_s:g} s, allowed: above 0, below 1e6")
     path = Path(path)
     if path.is_dir():
-        path = path / f"{block.name}{suffix}"
+        path = path / f"{block.name}{to.suffix}"
     record = pack_record(entries_of(block, sample_time_s))
     sources = dll_sources(chain_sources() if isinstance(block, Chain) else block.sources, len(record))
-    library = compile_for(f"{block.kind}-dll", sources, DLL_PLATFORMS[platform], cache=cache)
+    library = compile_for(f"{block.kind}-dll", sources, to, cache=cache)
     return write_whole(path, completed(library.read_bytes(), record))
-
-
-def suffix_of(platform: str) -> str:
-    """Return what the name of a DLL for `platform` ends in.
-
-    Raises
-    ------
-    BuildError : an unknown platform.
-    """
-    if platform not in DLL_PLATFORMS:
-        raise BuildError(f"unknown platform of a DLL {platform!r}; allowed: {', '.join(DLL_PLATFORMS)}")
-    return DLL_PLATFORMS[platform].suffix
 
 
 def completed(library: bytes, record: bytes) -> bytes:
@@ -138,12 +125,9 @@ def dll_sources(block: Sequence[Path], record_size: int) -> dict[str, bytes]:
     layer = tuple(p for p in fmi_sources() if p.stem in _LAYER)
     sources = gather_sources((*layer, _FRONT, *block, record_source()))
     sources[_FRONT.name] = b"#define CAPACITY %d\n" % room + sources[_FRONT.name]
-    if any(path.name == "chain.c" for path in block):  # whose members are of both kinds
-        sources["instance.h"] = b"#define RECORDS_SAY_SAMPLED\n" + sources["instance.h"]
-    name = "fmi2Functions.h"
-    sources[name], count = re.subn(rb"(#\s*define FMI2_Export).*", rb"\1", sources[name])
-    if count < 1:
-        raise BuildError("fmi2Functions.h of fmpy does not define FMI2_Export; reinstall fmpy")
+    if "chain.h" in sources:
+        sources["instance.h"] = b'#include "chain.h"\n' + sources["instance.h"]
+    sources["fmi2Functions.h"] = sources["fmi2Functions.h"].replace(b"FMI2_Export fmi2", b"fmi2")
     return sources
 
 
@@ -181,14 +165,13 @@ def _wires(chain: Chain, ports: Mapping[str, _Port]) -> Iterator[tuple[tuple[int
     """
     fed = [target for _, target in chain.connections]
     for connection in chain.connections:
-        arrow = " -> ".join(connection)
+        where = f"{chain.name}: {' -> '.join(connection)}"
         for end, role in zip(connection, ("output", "input"), strict=True):
             if end not in ports or ports[end].variable.role != role:
-                raise BuildError(f"{chain.name}: {arrow}: {end} is no {role} of a member")
+                raise BuildError(f"{where}: {end} is no {role} of a member")
         source, target = (ports[end] for end in connection)
         if not (source.member < target.member and source.integer == target.integer):
-            allowed = "allowed: from a member to a later one"
-            raise BuildError(f"{chain.name}: {arrow} leads backwards or joins two types, {allowed}")
+            raise BuildError(f"{where} leads backwards or joins two types, allowed: to a later member")
         if fed.count(connection[1]) > 1:
             raise BuildError(f"{chain.name}: {connection[1]} is fed twice, allowed: by one output")
         yield source[2:], target[2:]
@@ -204,7 +187,7 @@ def _check(block: Block | Chain, chain: Chain, groups: Iterable[Sequence[_Port]]
         )
     for group in groups:
         names = [port_name(p.shown) for p in group]
-        if len(set(names)) != len(names) or not all(n.isascii() and n.isidentifier() for n in names):
+        if len(set(names)) != len(names) or not all(map(str.isidentifier, names)):
             raise BuildError(
                 f"{block.name}: names {names} are no different C identifiers; rename the variables"
             )
@@ -237,8 +220,7 @@ def entries_of(block: Block | Chain, sample_time_s: float) -> dict[str, npt.Arra
 def _range(v: Variable) -> tuple[float, float, float]:
     """Default, least and greatest value."""
     low, high = (v.min, v.max) if v.type == "Real" else (0, 1) if v.type == "Boolean" else integer_range(v)
-    limits = (-UNBOUNDED if low is None else low, UNBOUNDED if high is None else high)
-    return float(v.start or 0), float(limits[0]), float(limits[1])
+    return v.start or 0, -UNBOUNDED if low is None else low, UNBOUNDED if high is None else high
 
 
 def _texts(block: Block | Chain, groups: Iterable[Sequence[_Port]]) -> Iterator[str]:

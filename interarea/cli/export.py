@@ -128,13 +128,14 @@ def _sample_s(given: float | None, dll: str | None) -> float:
 
 def _dll_platforms(names: str | None) -> list[str]:
     """Return the platforms of ``--dll``, before anything is built."""
-    from interarea.fmu_build.write.real_code import DLL_PLATFORMS, suffix_of
+    from interarea.fmu_build.write.compile import platform_of
+    from interarea.fmu_build.write.real_code import DLL_PLATFORMS
 
     platforms = names_of(names)
     if platforms == []:
         raise BuildError(f"--dll {names}: names no platform; allowed: {', '.join(DLL_PLATFORMS)}")
     for platform in platforms or ():
-        suffix_of(platform)
+        platform_of(platform, DLL_PLATFORMS)
     return platforms or []
 
 
@@ -142,14 +143,14 @@ def _dlls(
     blocks: list[Block], out: Path, platforms: list[str], sample_time_s: float, cache: Path
 ) -> list[str]:
     """Write each block as a DLL of each platform, ``OUT/PLATFORM/NAME.dll``."""
-    from interarea.fmu_build.write.real_code import build_dll, suffix_of
+    from interarea.fmu_build.write.real_code import DLL_PLATFORMS, build_dll
 
     from .destination import file_for
 
     files = []
     for platform in platforms:
         for block in blocks:
-            file = file_for(out / platform / f"{block.name}{suffix_of(platform)}")
+            file = file_for(out / platform / f"{block.name}{DLL_PLATFORMS[platform].suffix}")
             with busy(f"{block.name} for {platform}"):
                 build_dll(block, file, platform=platform, sample_time_s=sample_time_s, cache=cache)
             files.append(str(file))
@@ -198,7 +199,8 @@ def container(
 ) -> None:
     """Write plant, channels and controller of a scenario as one FMU without inputs."""
     from interarea.cosim.export.container import chain_of, write_container
-    from interarea.fmu_build.write.real_code import build_dll, suffix_of
+    from interarea.fmu_build.write.compile import platform_of
+    from interarea.fmu_build.write.real_code import DLL_PLATFORMS, build_dll
 
     sample_s = _sample_s(sample_time, dll)
 
@@ -211,7 +213,7 @@ def container(
     elif platforms is not None:
         raise BuildError(f"--platforms {platforms}: an option of an FMU; omit --dll or this option")
     else:
-        tell_file(_written(write_chain, suffix_of(dll), scenario, out, None), json_)
+        tell_file(_written(write_chain, platform_of(dll, DLL_PLATFORMS).suffix, scenario, out, None), json_)
 
 
 def _written(

@@ -38,15 +38,15 @@ def container_sources(plant: Iterable[Path] | None = None) -> tuple[Path, ...]:
     )
 
 
-#: Kinds of the members of a chain, as chain.c counts them.
+#: Kinds of the members of a chain, as chain.h counts them.
 CHAIN_KINDS = ("controller", "supervisor", "channel", "pmu")
 
 
 def chain_sources() -> tuple[Path, ...]:
-    """Return the C files of a chain: members whose instances go one after the other, without a plant."""
-    parts = ("chain", *(f"{kind}_member" for kind in CHAIN_KINDS))
+    """Return the C files, and the header, of a chain: members one after the other, without a plant."""
+    parts = ("chain.h", *(f"{kind}_member.c" for kind in CHAIN_KINDS))
     return (
-        *(_HERE / f"container/{name}.c" for name in parts),
+        *(_HERE / "container" / name for name in parts),
         *(p for p in channel_block().sources if p.name != "channel.c"),
     )
 

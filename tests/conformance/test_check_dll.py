@@ -23,17 +23,17 @@ SOURCE = Path(__file__).parent / "blocks" / "lag_dll.c"
 DEFECTS = re.findall(r"[A-Z_]+", SOURCE.read_text().split("enum {")[1].split("}")[0])
 #: defect -> rule that tells it, words of the message
 REPORTED = {
-    "PACKED": ("DLL alignment", "reads bytes of a structure that lie between its ports"),
+    "PACKED": ("DLL alignment", "runs otherwise with other bytes between its ports"),
     "NAME": ("DLL names", "is no C identifier"),
     "RANGE": ("DLL ranges", "default 2 lies outside 3 to 10"),
-    "GLOBAL": ("DLL instances", "an instance runs otherwise when another one runs beside it"),
-    "CALLS": ("DLL repeated calls", "called five times gives another run"),
-    "TIME_BACK": ("DLL restart", "does not begin the same run"),
+    "GLOBAL": ("DLL instances", "runs otherwise beside another instance"),
+    "CALLS": ("DLL repeated calls", "runs otherwise after five calls of Model_Initialize"),
+    "TIME_BACK": ("DLL restart", "runs otherwise begun again at time 0"),
     "NOT_A_NUMBER": ("DLL errors", "after finite inputs with return code 0"),
     "NO_TERMINATE": ("DLL functions", "it does not have Model_Terminate"),
     "LEAK": ("DLL memory", "an instance started and terminated loses 2"),
     "SHARED_TEXT": ("DLL messages", "one text that all instances share"),
-    "OUTSIDE_STATES": ("DLL snapshots", "continued from its state arrays it runs otherwise"),
+    "OUTSIDE_STATES": ("DLL snapshots", "runs otherwise continued from its state arrays"),
     "WRITES_TIME": ("DLL time", "Model_Outputs changes Time"),
     "BEYOND_STATES": ("DLL states", "is written beyond its declared number"),
     "CRASH": ("run: bounds", "the binary crashes (SIGABRT)"),

@@ -43,7 +43,7 @@ static void defaults(RealCodeInstance *it)
     double *u = it->inputs, *p = it->parameters;
 
     for (int32_t k = 0; k < info->n_inputs; ++k) u[k] = usual(k);
-    for (int32_t k = 0; k < info->n_parameters; ++k) p[k] = info->parameters[k].start.real64;
+    for (int32_t k = 0; k < info->n_parameters; ++k) p[k] = info->parameters[k].start;
 }
 
 static void parameter(RealCodeInstance *it)
@@ -53,8 +53,8 @@ static void parameter(RealCodeInstance *it)
     if (info->n_parameters == 0) return;
     const uint32_t k = draw((uint32_t)info->n_parameters), what = draw(5);
     const RealCodeParameter *told = &info->parameters[k];
-    p[k] = what == 0 ? odd() : what == 1 ? told->min.real64 : what == 2 ? told->max.real64
-           : what == 3 ? told->start.real64 : told->start.real64 + floor(10.0 * (small() * 1e3));
+    p[k] = what == 0 ? odd() : what == 1 ? told->min : what == 2 ? told->max
+           : what == 3 ? told->start : told->start + floor(10.0 * (small() * 1e3));
 }
 
 static int finite_outputs(const RealCodeInstance *it)

@@ -49,7 +49,7 @@ int main(int argc, char **argv)
 
     for (int32_t k = 0; k < info->n_parameters; ++k) {
         const size_t n = strlen(info->parameters[k].name);
-        p[k] = info->parameters[k].start.real64;
+        p[k] = info->parameters[k].start;
         for (int a = 4; a < argc; ++a)
             if (strncmp(argv[a], info->parameters[k].name, n) == 0 && argv[a][n] == '=') p[k] = strtod(argv[a] + n + 1, NULL);
     }

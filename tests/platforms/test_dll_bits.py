@@ -15,6 +15,7 @@ import pytest
 from platforms.test_same_bits import Emulator, emulator_of, program
 
 from interarea.cosim.run.controllers import controller_of
+from interarea.fmu_build.open.images import read_image
 from interarea.fmu_build.write.real_code import DLL_PLATFORMS, Chain, build_dll
 from interarea.models.blocks.channel import channel_block
 from interarea.models.blocks.pmu import pmu_block
@@ -72,6 +73,7 @@ def test_a_windows_dll_has_the_bits_of_the_linux_one(
     for platform in ("linux64", name):
         tool = emulator(platform, tmp_path)
         library = build_dll(blocks[kind], tmp_path, platform=platform, sample_time_s=STEP, cache=cache)
+        assert all(name.startswith("Model_") for name in read_image(library.read_bytes()).exports)
         host = program(HOST, DLL_PLATFORMS[platform], HEADERS, tmp_path, cache)
         done = subprocess.run(
             [*tool.command, str(host), str(library), str(STEP), str(COUNT), *channel],

@@ -17,11 +17,7 @@
 #include "placement.h"
 #include "real_code.h"
 
-#if defined _WIN32
-#define EXPORTED __declspec(dllexport)
-#else
-#define EXPORTED __attribute__((visibility("default")))
-#endif
+#define EXPORTED FMI2_Export    /* of FMI's header; its own functions have lost it, see write/real_code.py */
 /* Refuse the call, or say something beside it; a printf format and what it names. */
 #define REFUSE(call, ...) say(call, NULL, fmi2Error, NULL, __VA_ARGS__)
 #define REMARK(call, ...) say(call, NULL, fmi2Warning, NULL, __VA_ARGS__)
@@ -86,7 +82,7 @@ static void describe(const Record *record)
         model.signal[k] = (RealCodeSignal){t[0], t[1], t[2], REAL_CODE_REAL64, 1};
     for (int32_t k = 0; k < n[2]; ++k, t += 4, range += 3)
         model.parameter[k] = (RealCodeParameter){t[0], t[1], t[2], t[3], REAL_CODE_REAL64, model.parameters[k].fixed,
-                                                 {range[0]}, {range[1]}, {range[2]}};
+                                                 range[0], range[1], range[2]};
 }
 
 /* Reads member k of the record and places it behind those before; returns 0 where it cannot be. */
@@ -191,17 +187,11 @@ static void set(Call *call, const Port *port, const char *name, double value)
         (void)(flag ? fmi2SetBoolean : fmi2SetInteger)(c, &r, 1, &whole);
 }
 
+/* A parameter, or an output as the last start or step of its member has left it. */
 static double held(const Call *call, const Port *port)
 {
     const Instance *c = &call->instance[port->member];
     return port->integer ? (double)c->integer[port->reference] : c->real[port->reference];
-}
-
-/* An output as it is at the time of the call. */
-static double output(Call *call, const Port *port)
-{
-    (void)instance_refresh_outputs(&call->instance[port->member], 0, "fmi2GetReal");
-    return held(call, port);
 }
 
 /* Gives the inputs of member k what feeds them at the time of the call; with a length, s, above 0 the slopes instead
@@ -215,7 +205,7 @@ static void feed(Call *call, int32_t k, double length)
     for (const Feed *f = model.feeds; f < model.feeds + model.n_feeds && call->worst < REAL_CODE_ERROR; ++f) {
         if (f->to.member != k || (length > 0.0 && f->to.integer)) continue;
         const int of_tool = f->from.member < 0;
-        const double value = of_tool ? u[f->from.reference] : output(call, &f->from);
+        const double value = of_tool ? u[f->from.reference] : held(call, &f->from);
         const fmi2ValueReference r = (fmi2ValueReference)f->to.reference;
         if (length > 0.0) {
             const double slope = (value - c->real[r]) / length;
@@ -289,7 +279,7 @@ EXPORTED int32_t Model_Initialize(RealCodeInstance *tool)
     memset(tool->double_states, 0, (size_t)model.info.n_double * sizeof(double));
     start(&call, 0);
     for (int32_t k = 0; k < model.info.n_outputs && call.worst < REAL_CODE_ERROR; ++k) {
-        const double own = output(&call, &model.outputs[k]);
+        const double own = held(&call, &model.outputs[k]);
         if (!model.outputs[k].integer && !(fabs(y[k] - own) <= 1e-6 * fmax(1.0, fabs(own))))
             REMARK(&call, "output %s starts at %.9g, not at the %.9g that the tool has given it",
                    model.info.outputs[k].name, own, y[k]);
@@ -303,11 +293,12 @@ static void give_outputs(Call *call)
     double *y = call->tool->outputs;
 
     for (int32_t k = 0; k < model.info.n_outputs && call->worst < REAL_CODE_ERROR; ++k) {
-        const double value = output(call, &model.outputs[k]);
+        const double value = held(call, &model.outputs[k]);
         if (!isfinite(value))
             REFUSE(call, "output %s is %g at time %.9g s; give smaller inputs", model.info.outputs[k].name, value,
                    call->tool->time);
-        if (call->worst < REAL_CODE_ERROR) y[k] = value;
+        else
+            y[k] = value;
     }
 }
 
@@ -317,10 +308,8 @@ EXPORTED int32_t Model_Outputs(RealCodeInstance *tool)
     Call call;
 
     enter(&call, tool, 0);
-    if (tool->int_states[I_TAG] != model.tag) {
+    if (tool->int_states[I_TAG] != model.tag)
         REFUSE(&call, "Model_Initialize was not called, a call failed since, or the states are of another model");
-        return call.worst;
-    }
     const double before = call.instance[0].run->time, length = tool->time - before;
     for (int32_t k = 0; k < model.info.n_inputs; ++k)
         if (!isfinite(u[k]))
@@ -335,6 +324,7 @@ EXPORTED int32_t Model_Outputs(RealCodeInstance *tool)
         if (length > slack && !instance_is_sampled(c)) feed(&call, k, length);
         if (length > slack && call.worst < REAL_CODE_ERROR) (void)fmi2DoStep(c, c->run->time, length, fmi2True);
         feed(&call, k, 0.0);
+        if (call.worst < REAL_CODE_ERROR) (void)instance_refresh_outputs(c, 0, "fmi2GetReal");
     }
     give_outputs(&call);
     if (call.worst == REAL_CODE_ERROR) tool->int_states[I_TAG] = 0;
@@ -343,8 +333,8 @@ EXPORTED int32_t Model_Outputs(RealCodeInstance *tool)
 
 EXPORTED int32_t Model_PrintInfo(void)
 {
-    const RealCodeInfo *told = Model_GetInfo();
+    const RealCodeInfo *info = &model.info;
 
-    if (told != NULL) (void)printf("%s %s: %s\n", told->name, told->model_version, told->description);
+    if (model.tag != 0) (void)printf("%s %s: %s\n", info->name, info->model_version, info->description);
     return REAL_CODE_OK;
 }

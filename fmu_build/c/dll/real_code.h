@@ -6,21 +6,18 @@
  * Model_CheckParameters, Model_Initialize, Model_Outputs once every sample time, Model_Terminate.   */
 #include <stdint.h>
 
-enum { REAL_CODE_REAL64 = 9 };                                      /* types of data: only this one is used here */
+enum { REAL_CODE_REAL64 = 9, REAL_CODE_EMT_AND_RMS = 3 };       /* type of data and mode that are used here */
 enum { REAL_CODE_OK = 0, REAL_CODE_MESSAGE = 1, REAL_CODE_ERROR = 2 };  /* what the functions return */
-enum { REAL_CODE_EMT_AND_RMS = 3 };
 
 typedef struct {
     const char *name, *description, *unit;      /* the name is a C identifier */
     int32_t type, width;
 } RealCodeSignal;
 
-typedef union { double real64; const char *text; } RealCodeValue;
-
 typedef struct {
     const char *name, *group, *description, *unit;
     int32_t type, fixed;                        /* fixed: it counts at the start only */
-    RealCodeValue start, min, max;
+    double start, min, max;                     /* of real64; other types share these bytes */
 } RealCodeParameter;
 
 typedef struct {

@@ -242,6 +242,6 @@ def test_build_writes_the_controller_as_a_dll(interarea, tmp_path: Path) -> None
     code, out, err = interarea("container", "lost-signal", "--dll", "linux64", "--out", tmp_path / "chain.so")
     assert code == 0 and (tmp_path / "chain.so").is_file(), err
     code, _, err = interarea("container", "lost-signal", "--dll", "vax", "--out", tmp_path / "chain.so")
-    assert code == 2 and "unknown platform of a DLL 'vax'; allowed: linux64, win64, win32" in err
+    assert code == 2 and "unknown platform 'vax'; allowed: linux64, win64, win32" in err
     code, _, err = interarea("build", "two-area-thesis", "--dll", "linux64", "--out", tmp_path)
     assert code == 2 and "--dll: no controller was named" in err
