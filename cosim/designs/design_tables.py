@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Mapping, Sequence
-from itertools import pairwise
+from itertools import combinations, pairwise
 from typing import Annotated
 
-from pydantic import AfterValidator, Field, field_validator
+from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from interarea.design.delay.signal_conditions import Condition, condition_of_many
 from interarea.design.robust.smoothed_objective import BandOffsets
@@ -17,6 +17,7 @@ from interarea.models.case.case import Case
 from interarea.models.table import Table
 
 Positive = Annotated[float, Field(gt=0.0)]
+_WRONG = re.compile(r"x-?\d+(?:\.\d+)?|s\d+")
 
 
 def _rising(nodes: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
@@ -255,9 +256,25 @@ class AcceptanceTable(Table):
     @field_validator("wrong")
     @classmethod
     def _codes(cls, wrong: tuple[str, ...]) -> tuple[str, ...]:
-        for code in wrong:
-            wrong_condition(code, "SIGNAL")
+        for one, other in combinations([wrong_condition(code, "SIGNAL") for code in wrong], 2):
+            if (one.scale_of, one.latency_s_of) == (other.scale_of, other.latency_s_of):
+                raise ValueError(f"wrong has {one.in_words.removeprefix('SIGNAL ')!r} twice, allowed: once")
         return wrong
+
+    @field_validator("ceilings")
+    @classmethod
+    def _order(cls, ceilings: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
+        for least, most in ceilings:
+            if not least < most:
+                raise ValueError(f"ceilings has [{least:g}, {most:g}], allowed: the first below the second")
+        return ceilings
+
+    @model_validator(mode="after")
+    def _within_the_run(self) -> AcceptanceTable:
+        for key, instant in (("start_s", self.start_s), ("lost_s", self.lost_s)):
+            if not instant < self.stop_s:
+                raise ValueError(f"{key} = {instant:g}, allowed: before stop_s = {self.stop_s:g}")
+        return self
 
     def check(self, points: Sequence[str]) -> None:
         """Raise ValueError where `points` of the table names what is no operating point of the design."""
@@ -269,7 +286,9 @@ class AcceptanceTable(Table):
 
 
 def wrong_condition(code: str, signal: str) -> Condition:
-    """Return the condition of one wrong signal; ValueError for a code of another kind."""
-    if not re.match(r"[xs]", code):
-        raise ValueError(f"wrong has {code!r}, allowed: x<factor> such as x-1, s<ms> such as s300")
+    """Return the condition of one wrong signal; ValueError for another code, or a correct one."""
+    if not _WRONG.fullmatch(code):
+        raise ValueError(f"wrong has {code!r}, allowed: x<factor> such as x-1 or s<ms> such as s300")
+    if float(code[1:]) == (1.0 if code[0] == "x" else 0.0):
+        raise ValueError(f"wrong has {code!r}, which leaves a signal as it is; omit it")
     return condition_of_many(f"{code}:{signal}", (signal,))

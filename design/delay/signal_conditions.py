@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import isfinite
 from typing import TypeVar
 
 T = TypeVar("T")
 _LATE = re.compile(r"(n?s)([0-9]+)(?::(.+))?")
+_LATE_ALL = re.compile(r"s[0-9]+")
 _SCALE = re.compile(r"x(-?\d+(?:\.\d+)?):(.+)")
+LONGEST_MS = 10_000  #: of a latency in a code: that of `interarea loops --latency`
 
 
 @dataclass(frozen=True)
@@ -84,28 +86,41 @@ def condition_of_many(code: str, signals: Sequence[str], *, remote: str | None =
 
     ``N`` normal, ``L:G2_dw`` that signal lost, ``s100`` every signal late by 100 ms, ``s100+L:G2_dw`` both.
     ``x2:G2_dw`` that signal twice as large, ``x-1:G2_dw`` of the wrong polarity. ``s300:G2_dw`` that signal
-    alone late by 300 ms, as by a wrong time stamp; with ``s100`` before it, the others by 100 ms.
-    With a `remote` signal also ``L``, it is lost, and ``ns150``, it alone is late.
+    alone late by 300 ms, as by a wrong time stamp; beside ``s100`` the others by 100 ms.
+    With a `remote` signal also ``L``, it is lost, and ``ns150``, it alone is late. Parts have any order.
 
-    Raises ValueError for any other code.
+    Raises ValueError for any other code, for one that states the same thing twice, such as ``s100+s200``, and
+    for a lost signal with a latency or scale of its own.
     """
-    lost: list[str] = []
-    latency: dict[str, float] = {}
+    lost: dict[str, bool] = {}
+    every: dict[str, float] = {}
+    alone: dict[str, float] = {}
     scales: dict[str, float] = {}
     for part in code.split("+"):
         if (gone := _lost_by(part, signals, remote)) is not None:
-            lost.append(gone)
+            _set(code, lost, {gone: True}, "lost")
         elif (scaled := _SCALE.fullmatch(part)) is not None and scaled[2] in signals:
-            scales[scaled[2]] = float(scaled[1])
-        elif (late := _late_by(part, signals, remote)) is not None:
-            latency |= late
+            _set(code, scales, {scaled[2]: float(scaled[1])}, "scaled")
+        elif (late := _late_by(code, part, signals, remote)) is not None:
+            _set(code, every if _LATE_ALL.fullmatch(part) else alone, late, "late")
         elif part != "N":
             short = "N, L, s<ms>, ns<ms>" if remote is not None else "N, s<ms>"
             raise ValueError(
                 f"condition {code!r}: parts are {short}, L:<one of {', '.join(signals)}>, "
                 f"s<ms>:<one of them> or x<factor>:<one of them> joined by +, got {part!r}"
             )
-    return Condition(code, tuple(lost), _but(latency, lost), _but(scales, lost))
+    if silent := [signal for signal in lost if signal in alone or signal in scales]:
+        raise ValueError(
+            f"condition {code!r}: {silent[0]} is lost and also late or scaled, allowed: one of these"
+        )
+    return Condition(code, tuple(lost), _but(every | alone, lost), _but(scales, lost))
+
+
+def _set(code: str, values: dict[str, T], more: Mapping[str, T], what: str) -> None:
+    """Add `more` to `values`; ValueError where a signal is there already."""
+    if twice := [signal for signal in more if signal in values]:
+        raise ValueError(f"condition {code!r}: {twice[0]} is {what} twice, allowed: once")
+    values.update(more)
 
 
 def _lost_by(part: str, signals: Sequence[str], remote: str | None) -> str | None:
@@ -115,17 +130,21 @@ def _lost_by(part: str, signals: Sequence[str], remote: str | None) -> str | Non
     return part[2:] if part.startswith("L:") and part[2:] in signals else None
 
 
-def _late_by(part: str, signals: Sequence[str], remote: str | None) -> dict[str, float] | None:
+def _late_by(code: str, part: str, signals: Sequence[str], remote: str | None) -> dict[str, float] | None:
     """Return the latency, s, of each signal that a part of a code delays; None where it is no such part."""
     match = _LATE.fullmatch(part)
     if match is None:
         return None
     kind, milliseconds, one = match.groups()
+    if not int(milliseconds) <= LONGEST_MS:
+        raise ValueError(
+            f"condition {code!r}: a latency of {milliseconds} ms, allowed: at most {LONGEST_MS} ms"
+        )
     delayed = tuple(signals) if kind == "s" else (remote,)
     if one is not None:
         delayed = (one,) if kind == "s" and one in signals else (None,)
     return {d: int(milliseconds) / 1000.0 for d in delayed if d is not None} if None not in delayed else None
 
 
-def _but(values: Mapping[str, float], lost: Sequence[str]) -> dict[str, float]:
+def _but(values: Mapping[str, float], lost: Collection[str]) -> dict[str, float]:
     return {signal: value for signal, value in values.items() if signal not in lost}

@@ -111,9 +111,25 @@ def test_each_signal_is_wrong_in_turn_in_each_way() -> None:
         "G4_dw 300 ms late, 100 ms",
     ]
     assert settings[-1].late(["G2_dw", "G4_dw"]) == {"G2_dw": 0.1, "G4_dw": 0.4}
-    for code in ("L", "N", "x", "s300:G2_dw"):
-        with pytest.raises(ValueError, match=r"wrong|condition"):
+    for code in ("L", "N", "x", "s300:G2_dw", "s300+x2", "s-3", "xnan"):
+        with pytest.raises(ValueError, match=r"wrong has .* allowed: x<factor> such as x-1 or s<ms>"):
             AcceptanceTable(fault=({"bus": 8},), wrong=(code,))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("values", "says"),
+    [
+        ({"wrong": ("x1",)}, "'x1', which leaves a signal as it is"),
+        ({"wrong": ("s0",)}, "'s0', which leaves a signal as it is"),
+        ({"wrong": ("x-1", "s300", "x-1.0")}, "'times -1' twice"),
+        ({"start_s": 10.0}, "start_s = 10, allowed: before stop_s = 10"),
+        ({"lost_s": 20.0}, "lost_s = 20, allowed: before stop_s = 10"),
+        ({"ceilings": ((5.0, -5.0),)}, r"ceilings has \[5, -5\], allowed: the first below the second"),
+    ],
+)
+def test_an_acceptance_that_tries_nothing_is_refused(values: dict, says: str) -> None:
+    with pytest.raises(ValueError, match=says):
+        AcceptanceTable(fault=({"bus": 8},), **values)  # type: ignore[arg-type]
 
 
 def test_a_wrong_signal_ends_in_the_loop_of_another_gain_or_latency(cache: Path) -> None:

@@ -105,8 +105,27 @@ def test_codes_of_conditions() -> None:
             condition_of_many(code, ("G1_dw", "G2_dw"))
     with pytest.raises(ValueError, match="parts are N, L"):
         condition_of("x5", "G4_dw", "G2_dw")
+    turned = condition_of_many("s300:G2_dw+s100", ("G1_dw", "G2_dw"))
+    assert turned.latency_s_of == stamp.latency_s_of
     with pytest.raises(ValueError, match="finite and not negative"):
         Condition("late", (), {"G2_dw": -0.1})
+
+
+@pytest.mark.parametrize(
+    ("code", "says"),
+    [
+        ("s100+s200", "G1_dw is late twice"),
+        ("s100:G2_dw+s200:G2_dw", "G2_dw is late twice"),
+        ("x2:G2_dw+x3:G2_dw", "G2_dw is scaled twice"),
+        ("L:G2_dw+L:G2_dw", "G2_dw is lost twice"),
+        ("s300:G2_dw+L:G2_dw", "G2_dw is lost and also late or scaled"),
+        ("L:G2_dw+x-1:G2_dw", "G2_dw is lost and also late or scaled"),
+        ("s99999", "a latency of 99999 ms, allowed: at most 10000 ms"),
+    ],
+)
+def test_a_code_that_contradicts_itself_is_refused(code: str, says: str) -> None:
+    with pytest.raises(ValueError, match=says):
+        condition_of_many(code, ("G1_dw", "G2_dw"))
 
 
 def swinging_plant() -> control.StateSpace:
