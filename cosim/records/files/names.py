@@ -70,6 +70,8 @@ _PSSE = {
     "FREQ": ("frequency", "pu", 1.0),
     "SPD": ("speed", "pu", 1.0),
 }
+#: units that a word of a name can be, as in ``VA_deg_bus1``; shorter ones are also names
+_UNIT_WORDS = frozenset(unit for unit in _UNITS if len(unit) > 1 and unit not in ("amp", "amps", "var"))
 _PSSE_NAME = re.compile(
     r"\s*(?P<kind>[A-Z]+)\s*(?P<bus>\d+)\s*(?:\[[^\]]*\])?\s*"
     r"(?:TO\s+(?P<to>\d+)\s+CKT\s+'?(?P<circuit>[^' ]+)\s*'?|(?P<id>\S+))?\s*$"
@@ -147,11 +149,17 @@ def psse_channel(name: str, frequency_hz: float) -> Raw | None:
 
 
 def _without_unit(column: str, unit: str) -> tuple[str, str]:
-    """Return a name without the unit in brackets at its end, and that unit unless one is known."""
+    """Return a name without the unit in brackets at its end, and that unit, or one of a word, unless known."""
     bracket = re.search(r"[\[(]\s*([^\[\]()]*)\s*[\])]\s*$", column)
     if bracket and not unit and known_unit(bracket[1]):
         return column[: bracket.start()].strip(), bracket[1]
-    return column, unit
+    return column, unit or _unit_word(column)
+
+
+def _unit_word(column: str) -> str:
+    """Return the unit that a word of a name is, "" without one or with several."""
+    units = {word for word in re.split(r"[\s_.:]+", column.casefold()) if word in _UNIT_WORDS}
+    return units.pop() if len(units) == 1 else ""
 
 
 def other_channel(column: str, unit: str = "", quantity: str = "", terminal: str = "") -> Raw:

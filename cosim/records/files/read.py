@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 FILL_S = 0.5  #: longest gap that is interpolated
 PIECE_ROWS = 1 << 14  #: that are read at a time: 20 MB of 150 channels
+_LEAST_HZ, _MOST_HZ = 40.0, 70.0  # of a grid's frequency, well beyond what its machines stand
+_NAMED = 3  # channels that a note names
 _INVALID = 0xC000  # of STAT: bits 15 and 14, the data are in error (IEEE C37.118.2)
 _UNSYNCHRONISED = 0x2000
 
@@ -155,6 +157,7 @@ def _record(
     values = table.values * np.array([r.factor for r in raws]) + np.array([r.offset for r in raws])
     values, raws, flagged = _without_flagged(values, raws)
     _check_scales(name, values, raws)
+    flagged += [*_without_dropouts(values, raws), *_without_units(raws)]
     place, step_s, remark = even_times(name, table.stamps)
     piece, cut = longest_piece(name, place, step_s, fill_s)
     values, raws, filled = on_axis(name, place[piece], values[piece], raws, step_s, fill_s)
@@ -214,6 +217,30 @@ def _without_flagged(values: Array, raws: list[Raw]) -> tuple[Array, list[Raw], 
     return values[:, left], [raws[k] for k in left], notes
 
 
+def _without_dropouts(values: Array, raws: Sequence[Raw]) -> list[str]:
+    """Take samples that no grid's frequency can be out of `values`, such as the zeros of a lost frame."""
+    notes = []
+    for k, raw in enumerate(raws):
+        column = values[:, k]
+        there = column[np.isfinite(column)]
+        if raw.channel.quantity != "frequency" or not there.size or not np.median(there) >= _LEAST_HZ:
+            continue
+        wrong = ~((column >= _LEAST_HZ) & (column <= _MOST_HZ)) & ~np.isnan(column)
+        if wrong.any():
+            column[wrong] = np.nan
+            many = f"{raw.channel.name}: {int(wrong.sum())} samples"
+            notes.append(f"{many} are outside {_LEAST_HZ:g} to {_MOST_HZ:g} Hz: left out")
+    return notes
+
+
+def _without_units(raws: Sequence[Raw]) -> list[str]:
+    """Return a note where angles have no unit."""
+    silent = [r.channel.name for r in raws if r.channel.quantity.endswith("angle") and r.channel.unit == "1"]
+    if not silent:
+        return []
+    return [f"angles without a unit in the file are taken as rad: {', '.join(silent[:_NAMED])}"]
+
+
 def _check_scales(source: str, values: Array, raws: Sequence[Raw]) -> None:
     """Raise for values that their unit cannot have."""
     for k, raw in enumerate(raws):
@@ -225,7 +252,7 @@ def _check_scales(source: str, values: Array, raws: Sequence[Raw]) -> None:
             _check_wraps(source, channel, column, raw.factor)
             continue
         middle = float(np.median(column))
-        if channel.quantity == "frequency" and not (40.0 <= middle <= 70.0 or abs(middle) < 5.0):
+        if channel.quantity == "frequency" and not (_LEAST_HZ <= middle <= _MOST_HZ or abs(middle) < 5.0):
             raise _wrong_scale(source, channel, f"{middle:.4g} Hz", "40 to 70 Hz, or a deviation", "mHz")
         if channel.unit == "kV" and not middle <= 2000.0:
             raise _wrong_scale(source, channel, f"{middle:.4g} kV", "up to 2000 kV", "V")

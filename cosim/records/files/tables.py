@@ -24,6 +24,16 @@ if TYPE_CHECKING:
 WANTED = "a PMU csv, COMTRADE (.cfg, .cff), channels of PSS/E as csv, or trajectory.csv or .parquet of a run"
 _HEADER_ROWS = 12  # in which a row that begins with a time is looked for
 _TIME_CELL = re.compile(r"\s*\"?(time|t|timestamp|date ?time|zeit)(?![a-z])", re.IGNORECASE)
+_TIME_UNIT = re.compile(r"(?:^|[\s_.\[(])([a-zµ]+)[\])]?\s*$", re.IGNORECASE)
+#: unit of a column of times, in small letters -> s
+_SECONDS = {
+    **dict.fromkeys(("ns", "nanoseconds"), 1e-9),
+    **dict.fromkeys(("us", "µs", "usec", "microseconds"), 1e-6),
+    **dict.fromkeys(("ms", "msec", "milliseconds"), 1e-3),
+    **dict.fromkeys(("min", "minutes"), 60.0),
+    **dict.fromkeys(("h", "hours"), 3600.0),
+}
+_DECIMAL_COMMA = re.compile(r"\s*[-+]?\d*,\d+(?:[eE][-+]?\d+)?\s*")
 _MOST_TEXT = 0.05  # of the samples of a column: more are no number, and it is no channel
 _IEEE_SAID = "PMU csv of the IEEE form; kV are phase to ground, power is of three phases"
 _PSSE_SAID = "channels of PSS/E: FREQ as pu of {:g} Hz, powers of machines as pu of SBASE"
@@ -46,9 +56,13 @@ class Table:
 
 @dataclass
 class Clock:
-    """Turns stamps into seconds from the first one that it is given. start : that one, where it is a date."""
+    """Turns stamps into seconds from the first one that it is given. start : that one, where it is a date.
+
+    unit_s : of stamps that are numbers.
+    """
 
     source: object
+    unit_s: float = 1.0
     start: str = ""
     _first: Any = field(default=None, repr=False)
 
@@ -65,7 +79,7 @@ class Clock:
         if not pd.api.types.is_datetime64_any_dtype(column):
             numbers = pd.to_numeric(column, errors="coerce")
             if numbers.notna().all():
-                return np.asarray(self._since(numbers.to_numpy(dtype=float), ""))
+                return np.asarray(self._since(numbers.to_numpy(dtype=float), "") * self.unit_s)
             mostly = numbers.notna().mean() > 0.5
             dates = numbers if mostly else pd.to_datetime(column, errors="coerce", format="mixed")
         if dates.isna().any():
@@ -126,17 +140,19 @@ def tables_of(source: Any, frequency_hz: float, rows: int | None = None) -> Iter
 
 def _csv(path: Path, frequency_hz: float, rows: int | None) -> Iterator[Table]:
     with path.open(encoding="utf-8-sig", errors="replace", newline="") as file:
-        sample = file.readline()
-        separator = max(",;\t", key=sample.count)
-        file.seek(0)
-        top = [
-            row for row, _ in zip(csv.reader(file, delimiter=separator), range(_HEADER_ROWS), strict=False)
-        ]
-    header, first = _header(path, top)
-    names, extra = [cell.strip() for cell in top[header]], top[header + 1 : first]
+        lines = [line for line, _ in zip(file, range(_HEADER_ROWS), strict=False)]
+    sample = next((line for line in lines if _TIME_CELL.match(line)), lines[0])
+    separator = max(",;\t", key=sample.count)
+    top = list(csv.reader(lines, delimiter=separator))
+    decimal = _decimal(separator, top)
+    header, first = _header(path, top, decimal)
+    extra = top[header + 1 : first]
+    names = [cell.strip() or f"column {k + 1}" for k, cell in enumerate(top[header])]
     raws, notes = _named_columns(names, extra, frequency_hz)
-    clock, skipped = Clock(path), first
-    for frame in _frames(path, first, len(names), separator, rows):
+    clock = Clock(path, _time_unit_s(names[0], *(row[0] for row in extra if row)))
+    form = _Form(first, len(names), _spare_cells(path, top, first, len(names)), separator, decimal)
+    skipped = first
+    for frame in _frames(path, form, rows):
         stamps = clock.seconds(frame[0], skipped)
         skipped += len(frame)
         values, texts = _numbers(frame)
@@ -151,26 +167,65 @@ def _csv(path: Path, frequency_hz: float, rows: int | None) -> Iterator[Table]:
         yield Table(stamps, values[:, keep], [raws[k] for k in keep], [*notes, *left_out], clock.start)
 
 
-def _frames(path: Path, first: int, width: int, separator: str, rows: int | None) -> Iterator[pd.DataFrame]:
-    """Yield the rows of a csv from `first` on as they are, `rows` at a time."""
+@dataclass(frozen=True)
+class _Form:
+    """How the samples of a csv stand: from row `first` on, `width` cells each and `spare` empty ones."""
+
+    first: int
+    width: int
+    spare: int
+    separator: str
+    decimal: str
+
+
+def _decimal(separator: str, rows: Sequence[Sequence[str]]) -> str:
+    """Return the decimal sign of a csv: a comma only where that does not separate cells."""
+    seen = separator == "\t" and any(_DECIMAL_COMMA.fullmatch(cell) for row in rows for cell in row)
+    return "," if separator == ";" or seen else "."
+
+
+def _time_unit_s(*cells: str) -> float:
+    """Return the unit of a column of times by the cells above it, such as ``Time [ms]``, s.
+
+    >>> _time_unit_s("Time (ms)"), _time_unit_s("Time", "T", "sec"), _time_unit_s("time_min")
+    (0.001, 1.0, 60.0)
+    """
+    words = [match[1].casefold() for cell in cells if (match := _TIME_UNIT.search(cell.strip()))]
+    return next((_SECONDS[word] for word in words if word in _SECONDS), 1.0)
+
+
+def _spare_cells(path: Path, rows: Sequence[Sequence[str]], first: int, width: int) -> int:
+    """Return how many empty cells follow those under the header; RecordError where they are not empty."""
+    for k, row in enumerate(rows[first:], first + 1):
+        if any(cell.strip() for cell in row[width:]):
+            raise RecordError(
+                f"{path}: row {k} has {len(row)} cells and the header {width}, wanted: as many in each; "
+                "numbers with a decimal comma need ; between the cells"
+            )
+    return max((len(row) - width for row in rows[first:]), default=0)
+
+
+def _frames(path: Path, form: _Form, rows: int | None) -> Iterator[pd.DataFrame]:
+    """Yield the rows of a csv as they are, `rows` at a time."""
     import pandas as pd
 
+    width = form.width + max(form.spare, 0)
     try:
         reader = pd.read_csv(
-            path, sep=separator, header=None, skiprows=first, names=list(range(width)), index_col=False,
-            low_memory=False, skip_blank_lines=True, encoding="utf-8-sig", encoding_errors="replace",
-            decimal="," if separator == ";" else ".", chunksize=rows, iterator=True,
+            path, sep=form.separator, header=None, skiprows=form.first, names=list(range(width)),
+            index_col=False, low_memory=False, skip_blank_lines=True, encoding="utf-8-sig",
+            encoding_errors="replace", decimal=form.decimal, chunksize=rows, iterator=True,
         )  # fmt: skip
         with reader:
             for frame in reader if rows else (reader.read(),):
                 if frame.empty:
                     raise RecordError(f"{path}: no samples, wanted: rows of a time and numbers")
-                yield frame
+                yield frame.iloc[:, : form.width]
     except RecordError:
         raise
     except (pd.errors.ParserError, ValueError) as error:
         raise RecordError(
-            f"{path}: rows of different lengths: {str(error).strip()}; wanted: {width} cells in each"
+            f"{path}: rows of different lengths: {str(error).strip()}; wanted: {form.width} cells in each"
         ) from None
 
 
@@ -186,23 +241,27 @@ def _numbers(frame: pd.DataFrame) -> tuple[Array, list[float]]:
     return np.column_stack(columns), texts
 
 
-def _header(path: Path, rows: list[list[str]]) -> tuple[int, int]:
+def _header(path: Path, rows: list[list[str]], decimal: str) -> tuple[int, int]:
     """Return the row that names the columns and that of the first sample."""
     header = next((k for k, row in enumerate(rows) if len(row) > 1 and _TIME_CELL.match(row[0])), None)
     if header is None:
         raise RecordError(f"{path}: no row begins with Time and names columns, wanted: {WANTED}")
-    first = next((k for k in range(header + 1, len(rows)) if _is_data(rows[k])), None)
+    first = next((k for k in range(header + 1, len(rows)) if _is_data(rows[k], decimal)), None)
     if first is None:
-        raise RecordError(f"{path}: no samples follow the header, wanted: rows of a time and numbers")
+        seen = f": row {header + 2} is {','.join(rows[header + 1])[:60]!r}" if len(rows) > header + 1 else ""
+        raise RecordError(
+            f"{path}: no samples follow the header{seen}, wanted: rows of a time (s, or date and time) and "
+            "numbers"
+        )
     return header, first
 
 
-def _is_data(row: Sequence[str]) -> bool:
+def _is_data(row: Sequence[str], decimal: str) -> bool:
     """Whether a row of a csv begins with a time and then has a number."""
 
     def number(cell: str) -> bool:
         try:
-            float(cell)
+            float(cell.replace(decimal, "."))
         except ValueError:
             return False
         return True
@@ -279,6 +338,7 @@ def _frame(frame: pd.DataFrame, clock: Clock) -> Table:
         column = frame.index.to_series()
     else:
         raise RecordError(f"{clock.source}: no column Time and no index of times, wanted: one of them")
+    clock.unit_s = _time_unit_s(str(column.name), str(units.get(column.name, "")))
     stamps = clock.seconds(column.reset_index(drop=True))
     raws, columns = [], []
     for c in frame.columns:

@@ -228,6 +228,52 @@ def test_resampling_takes_out_what_would_alias(tmp_path: Path) -> None:
     assert any("resampled from 30" in n for n in record.notes)
 
 
+SWING = 60.0 + 0.02 * np.sin(2 * np.pi * 0.5 * TIME)
+
+
+def table_csv(path: Path, head: str, *columns: np.ndarray, separator: str = ";", decimal: str = ",") -> Path:
+    """Write a csv as a spreadsheet does; `head` names the columns with commas between."""
+    rows = [separator.join(head.split(",")) + "\n"]
+    for row in zip(*columns, strict=True):
+        rows.append(separator.join(f"{v:.6f}".replace(".", decimal) for v in row) + "\n")
+    path.write_text("".join(rows), encoding="utf-8-sig")
+    return path
+
+
+@pytest.mark.parametrize(("separator", "title"), [(";", ""), ("\t", ""), (";", "Recorder 7, bay 3\n")])
+def test_numbers_with_a_decimal_comma_are_read(separator: str, title: str, tmp_path: Path) -> None:
+    path = table_csv(tmp_path / "r.csv", "Zeit,F [Hz],P [MW]", TIME, SWING, 10 * SWING, separator=separator)
+    path.write_text(title + path.read_text(encoding="utf-8-sig"))
+    record = read_record(path)
+    assert 1.0 / record.step_s == pytest.approx(RATE, rel=1e-5)
+    np.testing.assert_allclose(record.values, np.column_stack([SWING, 10 * SWING]), atol=1e-6)
+
+
+@pytest.mark.parametrize(("head", "factor"), [("Time [ms]", 1e3), ("Time_ms", 1e3), ("Time (min)", 1 / 60)])
+def test_the_unit_of_a_column_of_times_counts(head: str, factor: float, tmp_path: Path) -> None:
+    record = read_record(table_csv(tmp_path / "r.csv", f"{head},F [Hz]", factor * TIME, SWING))
+    assert 1.0 / record.step_s == pytest.approx(RATE, rel=1e-3)
+    frame = pd.DataFrame({head: factor * TIME, "F [Hz]": SWING})
+    assert 1.0 / read_record(frame).step_s == pytest.approx(RATE, rel=1e-9)
+
+
+def test_a_frequency_that_no_grid_has_is_a_lost_sample(tmp_path: Path) -> None:
+    dropped = SWING.copy()
+    dropped[100:104] = 0.0
+    record = read_record(table_csv(tmp_path / "r.csv", "Time,F [Hz]", TIME, dropped))
+    np.testing.assert_allclose(record.values[:, 0], SWING, atol=1e-3)
+    assert "F: 4 samples are outside 40 to 70 Hz: left out" in record.notes
+
+
+def test_a_word_of_a_name_can_be_the_unit(tmp_path: Path) -> None:
+    degrees = np.rad2deg(0.2 * np.sin(TIME))
+    columns = (TIME, degrees, 1e3 * (SWING - 60.0), degrees)
+    record = read_record(table_csv(tmp_path / "r.csv", "Time,VA_deg_bus1,f_mHz,G1 VA", *columns))
+    np.testing.assert_allclose(record.values[:, 0], 0.2 * np.sin(TIME), atol=1e-6)
+    np.testing.assert_allclose(record.values[:, 1], SWING - 60.0, atol=1e-6)
+    assert "angles without a unit in the file are taken as rad: G1 VA" in record.notes
+
+
 def _text(content: str):
     return lambda path: path.with_suffix(".csv").write_text(content)
 
@@ -242,7 +288,15 @@ WRONG = {
     "prose": (_text("Dear Sir,\nplease find enclosed\n"), "no row begins with Time"),
     "toml": (_text('title = "x"\n[[event]]\nkind = "bus_fault"\n'), "no row begins with Time"),
     "empty": (_text(""), "is empty, wanted: a PMU csv"),
-    "header alone": (_text("Time,F\n"), "no samples follow the header"),
+    "header alone": (_text("Time,F\n"), "no samples follow the header, wanted"),
+    "time of day": (
+        _text("Time,F\n01:59:50.0,60\n"),
+        r"header: row 2 is '01:59:50.0,60', wanted: rows of a time \(s, or date and time\)",
+    ),
+    "commas for all": (
+        _text("Time,F\n" + "".join(f"0,{k:02d},60,01\n" for k in range(20))),
+        "row 2 has 4 cells and the header 2, .* decimal comma need ; between",
+    ),
     "binary": (lambda path: path.write_bytes(bytes(range(256)) * 9), "is binary, wanted"),
     "short": (_text("Time,F [Hz]\n0,60\n0.1,60.1\n"), "2 samples, wanted: at least 8"),
     "millivolts": (
