@@ -16,6 +16,7 @@ from interarea.cosim.designs.design_file import load_design
 from interarea.cosim.designs.family import family_cases
 from interarea.cosim.designs.fault_loops import FaultLoops
 from interarea.design.controllers.bundled import shipped_controller
+from interarea.design.delay.signal_conditions import Condition
 from interarea.fmu_build.write.cache import default_cache
 
 
@@ -29,10 +30,11 @@ def main(names: Sequence[str]) -> int:
         latency_s = table.acceptance.latency_s[0]
         loops, unstable = 0, 0
         for point, case in table.acceptance.looked_at(family_cases(table)).items():
+            late = Condition("late", (), dict.fromkeys(controller.inputs, latency_s))
             here = FaultLoops(case, controller, default_cache())
             for fault in table.acceptance.fault:
                 alone = here.end(fault.trip, controlled=False)
-                end = here.end(fault.trip, (), latency_s)
+                end = here.end(fault.trip, late)
                 loops += 1
                 if alone.stable and not end.stable:
                     unstable += 1

@@ -11,6 +11,7 @@ import control
 
 from interarea.design.certificates.signal_margins import ALL, signal_margins
 from interarea.design.controllers.controller import Controller
+from interarea.design.delay.signal_conditions import Condition
 from interarea.fmu_build.write.cache import cached_json, code_hash, content_hash
 from interarea.models.case.case import Case
 
@@ -180,7 +181,7 @@ class ActuatorCells:
             ]
             loops = FaultLoops(self.case, controller or _NONE, self.cache)
             ends = [
-                loops.end(fault.trip, (lost,) if lost else (), late)
+                loops.end(fault.trip, Condition("late", (lost,) if lost else (), late))
                 for lost in losses
                 for fault, _ in self.family
             ]

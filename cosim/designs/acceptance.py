@@ -12,7 +12,7 @@ ceiling, kind and fault the clearing time that is just survived is searched for 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from itertools import product
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -47,10 +47,11 @@ class Setting:
         """What is lost and what is wrong of the signals; their common latency apart."""
         return Condition("lost", self.lost) if self.wrong is None else wrong_condition(*self.wrong)
 
-    def late(self, signals: Sequence[str]) -> dict[str, float]:
-        """Return the latency of each signal, s, with that of a wrong time stamp."""
+    def in_all(self, signals: Sequence[str]) -> Condition:
+        """Return that condition with the common latency of these signals added."""
         more = self.condition.latency_s_of
-        return {name: self.latency_s + more.get(name, 0.0) for name in signals}
+        late = {name: self.latency_s + more.get(name, 0.0) for name in signals}
+        return replace(self.condition, latency_s_of=late)
 
     @property
     def ceilings(self) -> str:
@@ -218,7 +219,7 @@ class Trial:
             self.controller if controlled else None,
             setting.latency_s,
             dict.fromkeys(setting.lost, t.lost_s),
-            _signal_faults(setting.condition, t.lost_s) if setting.wrong else {},
+            _signal_faults(setting.condition, t.lost_s),
         )
 
 
@@ -363,11 +364,7 @@ def _ends(loops: FaultLoops, groups: Groups) -> dict[Try, LoopEnd]:
     """Return the linear loop that each setting ends in, without control and with it."""
     return {
         (s, s is not alone): loops.end(
-            s.fault.trip,
-            s.lost,
-            s.late(loops.controller.inputs),
-            scale_of=s.condition.scale_of,
-            controlled=s is not alone,
+            s.fault.trip, s.in_all(loops.controller.inputs), controlled=s is not alone
         )
         for alone, settings in groups
         for s in (alone, *settings)

@@ -8,11 +8,9 @@ pieces without it, the loop with it is taken, and told (`FaultLoops.unsolved`).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import log
 from pathlib import Path
-from types import MappingProxyType
 from typing import TypeAlias
 
 import control
@@ -33,8 +31,7 @@ from ..results.verdict import SETTLED_SHARE
 from .family import FamilyPlant
 
 ControllerOrBank: TypeAlias = Controller | ControllerBank
-_Late: TypeAlias = tuple[float, ...]  # s, of each signal of the controller
-_Scales: TypeAlias = tuple[tuple[str, float], ...]  # of the signals that are wrong
+NORMAL = Condition("normal")  #: all signals at once, none wrong
 SLOW = 0.05  #: 1/s: a loop whose slowest root decays less fast is run for `LONG_S` at least
 LONG_S, LONGEST_S = 60.0, 240.0  #: of such a run
 _LEFT = -2.5  # 1/s: roots left of it are slow for no run
@@ -75,32 +72,22 @@ class FaultLoops:
         self.case, self.controller, self._cache = case, controller, cache
         self._plants: dict[str | None, FamilyPlant] = {}
         self.unsolved: list[str] = []  #: branches without which there is no power flow
-        self._ends: dict[tuple[str | None, tuple[str, ...], _Late, _Scales, bool], LoopEnd] = {}
+        self._ends: dict[tuple[object, ...], LoopEnd] = {}  #: by branch, condition and `controlled`
 
     def end(
         self,
         trip: str | None,
-        lost: Sequence[str] = (),
-        latency_s: float | Mapping[str, float] = 0.0,
+        condition: Condition = NORMAL,
         *,
-        scale_of: Mapping[str, float] = MappingProxyType({}),
         controlled: bool = True,
     ) -> LoopEnd:
-        """Return the loop with branch `trip` out, these signals lost, the others late.
-
-        latency_s : of every signal, or of each, 0 where it is not named. scale_of : factor on each, 1 where
-        it is not named.
-        """
+        """Return the loop with branch `trip` out and the signals in that condition."""
         if trip is not None and not self.case.branch(trip).in_service:
             trip = None  # it is out already
-        late = tuple(
-            latency_s.get(name, 0.0) if isinstance(latency_s, Mapping) else latency_s
-            for name in self.controller.inputs
-        )
-        scales = tuple(scale_of.items())
-        key = (trip, tuple(lost), late, scales, controlled)
+        late, scales = (tuple(sorted(of.items())) for of in (condition.latency_s_of, condition.scale_of))
+        key = (trip, tuple(condition.lost), late, scales, controlled)
         if key not in self._ends:
-            self._ends[key] = self._end(self._plant(trip), lost, late, scales, controlled)
+            self._ends[key] = self._end(self._plant(trip), condition, controlled)
         return self._ends[key]
 
     def _plant(self, trip: str | None) -> FamilyPlant:
@@ -116,20 +103,21 @@ class FaultLoops:
                 self._plants[trip] = self._plant(None)
         return self._plants[trip]
 
-    def _end(
-        self, plant: FamilyPlant, lost: Sequence[str], latency_s: _Late, scales: _Scales, controlled: bool
-    ) -> LoopEnd:
-        K = self.controller.acting(lost) if isinstance(self.controller, ControllerBank) else self.controller
+    def _end(self, plant: FamilyPlant, condition: Condition, controlled: bool) -> LoopEnd:
+        bank, lost = self.controller, condition.lost
+        K = bank.acting(lost) if isinstance(bank, ControllerBank) else bank
         system = _remaining(K.system if controlled else K.scaled(0.0).system, plant)
         signals = [str(name) for name in system.input_labels]
-        gone = tuple(name for name in signals if name in lost)
-        of_each = dict(zip(self.controller.inputs, latency_s, strict=True))
-        late = {name: of_each[name] for name in signals if name not in gone}
-        condition = Condition("after a fault", gone, late, {n: k for n, k in scales if n in late})
+        there = [name for name in signals if name not in lost]
+        late, scales = (
+            {name: of[name] for name in there if name in of}
+            for of in (condition.latency_s_of, condition.scale_of)
+        )
+        seen = Condition("after a fault", tuple(name for name in signals if name in lost), late, scales)
         if isinstance(plant.judged, LargePlant):
-            facts = plant.judged.facts(system, condition)
+            facts = plant.judged.facts(system, seen)
             return LoopEnd(facts.stable, complex(facts.rightmost))
-        return _dense_end(plant.judged, system, condition)
+        return _dense_end(plant.judged, system, seen)
 
 
 def _remaining(K: control.StateSpace, plant: FamilyPlant) -> control.StateSpace:

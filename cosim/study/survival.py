@@ -23,6 +23,7 @@ from interarea.design.certificates.closed_loop import closed_loop_matrix
 from interarea.design.controllers.bank import ControllerBank, load_controller
 from interarea.design.controllers.bundled import shipped_bank, shipped_banks
 from interarea.design.controllers.controller import Controller
+from interarea.design.delay.signal_conditions import Condition
 from interarea.design.synthesis.study_designs import StudySpec
 from interarea.fmu_build.write.cache import cached_json, code_hash, content_hash, source_hash
 from interarea.models.case.case import Case, load_case
@@ -252,7 +253,8 @@ class Faults:
         for setting in settings:
             loop = loops[next(iter(loops)) if setting.controller == NONE else setting.controller]
             lost = (self.spec[setting.lost],) if setting.lost else ()
-            end = loop.end(next(iter(trips), None), lost, controlled=setting.controller != NONE)
+            condition = Condition("survival", lost)
+            end = loop.end(next(iter(trips), None), condition, controlled=setting.controller != NONE)
             lengths[setting] = end.run_s(self.start_s + table["watch_s"], table["lost_at_s"])
             roots[setting] = end.root
 

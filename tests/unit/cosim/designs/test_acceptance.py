@@ -37,6 +37,7 @@ from interarea.design.certificates.closed_loop import closed_loop_matrix
 from interarea.design.controllers.bank import ControllerBank
 from interarea.design.controllers.bundled import shipped_bank, shipped_controller
 from interarea.design.controllers.controller import Controller
+from interarea.design.delay.signal_conditions import Condition
 from interarea.design.linear.linearise import remove_reference, speeds_in_rad
 from interarea.design.robust.operating_points import judge_family
 from interarea.models.case.case import load_case
@@ -110,7 +111,7 @@ def test_each_signal_is_wrong_in_turn_in_each_way() -> None:
         "G4_dw times -1, 100 ms",
         "G4_dw 300 ms late, 100 ms",
     ]
-    assert settings[-1].late(["G2_dw", "G4_dw"]) == {"G2_dw": 0.1, "G4_dw": 0.4}
+    assert settings[-1].in_all(["G2_dw", "G4_dw"]).latency_s_of == {"G2_dw": 0.1, "G4_dw": 0.4}
     for code in ("L", "N", "x", "s300:G2_dw", "s300+x2", "s-3", "xnan"):
         with pytest.raises(ValueError, match=r"wrong has .* allowed: x<factor> such as x-1 or s<ms>"):
             AcceptanceTable(fault=({"bus": 8},), wrong=(code,))  # type: ignore[arg-type]
@@ -139,9 +140,10 @@ def test_a_wrong_signal_ends_in_the_loop_of_another_gain_or_latency(cache: Path)
         K = control.ss([], [], [], [[0.01, gain]], inputs=["G2_dw", "G4_dw"], outputs=["G4_vs"])
         return FaultLoops(case, Controller("k", K), cache)
 
-    wrong = loops(0.02).end("7-8 a", (), 0.05, scale_of={"G4_dw": -1.0})
-    assert wrong.root == pytest.approx(loops(-0.02).end("7-8 a", (), 0.05).root, abs=1e-9)
-    assert abs(wrong.root - loops(0.02).end("7-8 a", (), 0.05).root) > 0.01
+    late = Condition("late", (), {"G2_dw": 0.05, "G4_dw": 0.05})
+    wrong = loops(0.02).end("7-8 a", replace(late, scale_of={"G4_dw": -1.0}))
+    assert wrong.root == pytest.approx(loops(-0.02).end("7-8 a", late).root, abs=1e-9)
+    assert abs(wrong.root - loops(0.02).end("7-8 a", late).root) > 0.01
 
 
 @pytest.mark.slow
@@ -228,13 +230,14 @@ def test_a_loop_that_grows_slowly_is_run_for_longer(cache: Path) -> None:
     assert LoopEnd(True, complex(np.nan)).run_s(10.0, 1.5) >= LONG_S
     case, K = load_case("two-area-thesis"), Controller.load(WITHOUT_LOCAL)
     loops = FaultLoops(case, K, cache)
-    end = loops.end(None, ("G4_dw",))
+    lost = Condition("lost", ("G4_dw",))
+    end = loops.end(None, lost)
     plant = speeds_in_rad(remove_reference(linear_plant(case, cache)), case.omega_b)
     poles = np.linalg.eigvals(closed_loop_matrix(plant, K.system, lost=("G4_dw",)))
     assert end.root.real == pytest.approx(poles.real.max(), abs=1e-8)
     assert not end.stable
-    assert loops.end(None, ("G4_dw",), controlled=False).stable
-    assert loops.end("8-9 a", ("G4_dw",)).stable  # another grid, another loop
+    assert loops.end(None, lost, controlled=False).stable
+    assert loops.end("8-9 a", lost).stable  # another grid, another loop
 
 
 @pytest.mark.parametrize(
