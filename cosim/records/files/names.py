@@ -149,7 +149,7 @@ def psse_channel(name: str, frequency_hz: float) -> Raw | None:
 
 
 def _without_unit(column: str, unit: str) -> tuple[str, str]:
-    """Return a name without the unit in brackets at its end, and that unit, or one of a word, unless known."""
+    """Return a name without the unit in brackets at its end, and that unit or a word that is one."""
     bracket = re.search(r"[\[(]\s*([^\[\]()]*)\s*[\])]\s*$", column)
     if bracket and not unit and known_unit(bracket[1]):
         return column[: bracket.start()].strip(), bracket[1]
