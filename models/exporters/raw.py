@@ -151,15 +151,16 @@ def _links(case: Case, flow: PowerFlow) -> Iterable[str]:
 
 def _vsc_links(case: Case, flow: PowerFlow) -> Iterable[str]:
     """Three lines each; the largest current is that of SMAX at 1 pu, the losses are those of ALOSS."""
-    for row in case.vscs:
+    second = flow.inverters[len(flow.inverters) - len(case.vscs) :].real * case.base_mva
+    for row, p in zip(case.vscs, second, strict=True):
         yield f"'{row.name.removeprefix('vsc_')[:_LONGEST_NAME]}',1,{row.r_ohm!r},1,1.0"
         ends = (
-            (row.from_bus, 2, -row.P_mw, row.from_keeps, row.from_q_mvar, row.from_loss_mw),
-            (row.to_bus, 1, row.vdc_kv, row.to_keeps, row.to_q_mvar, row.to_loss_mw),
+            (row.from_bus, row.P_mw, 2, -row.P_mw, row.from_keeps, row.from_q_mvar, row.from_loss_mw),
+            (row.to_bus, float(p), 1, row.vdc_kv, row.to_keeps, row.to_q_mvar, row.to_loss_mw),
         )
         limits = ((row.from_i_max_pu, row.from_priority), (row.to_i_max_pu, row.to_priority))
-        for (bus, kind, dc, keeps, q, loss), (limit, priority) in zip(ends, limits, strict=True):
-            mode, ac = (1, float(abs(flow.voltage(bus)))) if keeps == "v" else (2, _power_factor(row.P_mw, q))
+        for (bus, power, kind, dc, keeps, q, loss), (limit, priority) in zip(ends, limits, strict=True):
+            mode, ac = (1, float(abs(flow.voltage(bus)))) if keeps == "v" else (2, _power_factor(power, q))
             smax, pwf = limit * row.base_mva, float(priority == "p")
             yield (
                 f"{bus},{kind},{mode},{dc!r},{ac!r},{1000.0 * loss!r},0.0,0.0,{smax!r},0.0,{pwf!r},"

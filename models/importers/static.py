@@ -73,7 +73,8 @@ class StaticLoad:
     """What is taken from a bus: constant power, constant current and admittance parts (at 1 pu).
 
     follows : how the constant-power part follows the voltage in the dynamics, None as the user says.
-    q_free : its Q is not given; the stored voltages tell it.
+    q_free : its Q is not given; the stored voltages tell it. Where they are no solution, it gives `set_q`
+    Mvar or holds `set_v` pu at its bus.
     groups : its area, zone and owner. law : share and exponent of P, and of Q, of each term of a load record.
     """
 
@@ -90,6 +91,8 @@ class StaticLoad:
     on: bool = True
     follows: float | None = None
     q_free: bool = False
+    set_q: float | None = None
+    set_v: float | None = None
     home: int = 0  #: the bus in the file, from which it has its name
     groups: tuple[int, int, int] = (1, 1, 1)
     law: tuple[tuple[float, float, float, float], ...] | None = None

@@ -13,7 +13,7 @@ from ..grid.network import assembled, series_stamps
 from ..grid.newton import Iterate, newton
 from ..grid.powerflow import PowerFlowError
 from .report import Report
-from .static import LOAD, SLACK, UNIT, StaticBus, StaticGrid, StaticUnit
+from .static import LOAD, SLACK, UNIT, StaticBus, StaticGrid, StaticLoad, StaticUnit
 from .topology import live_islands
 
 GOOD_MVA, FAIR_MVA = 0.1, 5.0  #: mismatch of a solved file, and of one written with few digits
@@ -95,16 +95,24 @@ def solve_stored(grid: StaticGrid, slacks: Sequence[StaticBus], report: Report) 
     ------
     PowerFlowError : Newton's method converges neither from the stored voltages nor from a flat start.
     """
+    of_converters = [load for load in grid.loads if load.q_free]
     arrays, is_held, free_angle, free_magnitude = _prepared(grid, [bus.number for bus in slacks], report)
     stored_mva, stored_bus = _largest(arrays, free_angle, free_magnitude)
     start = arrays.start
+    holding: list[StaticLoad] = []
     if _hold_set_points(grid, arrays, report):
+        holding = _set_converters(grid, of_converters, report)
+        is_held[[arrays.at[load.bus] for load in holding]] = True
+        free_magnitude = np.flatnonzero(~is_held)
         arrays = _Arrays(grid)
     report.lines.append(_verdict(stored_mva, stored_bus, len(grid.buses)))
     if stored_mva > FAIR_MVA:
         where = grid.buses[stored_bus].where
         report.assume("the stored voltages are not a solution; the power flow is solved again", where)
     V = _newton(arrays, free_angle, free_magnitude, is_held)
+    if holding:
+        _balance(arrays, V, holding)
+        arrays = _Arrays(grid)
     moved_pu = float(np.max(np.abs(np.abs(V) - np.abs(start))))
     moved_deg = float(np.max(np.abs(np.degrees(np.angle(V / start)))))
     report.lines.append(
@@ -224,10 +232,40 @@ def _free_reactive(grid: StaticGrid) -> None:
     if not free:
         return
     arrays = _Arrays(grid)
-    off = arrays.off(arrays.start) * grid.base_mva
+    _balance(arrays, arrays.start, free)
     for load in free:
-        load.q -= float(off[arrays.at[load.bus]].imag) / sum(other.bus == load.bus for other in free)
         load.q_free = False
+
+
+def _balance(arrays: _Arrays, V: npt.NDArray[np.complex128], loads: Sequence[StaticLoad]) -> None:
+    """Give `loads` the Q that voltages `V` leave over at their buses, in equal parts at one bus."""
+    off = arrays.off(V) * arrays.grid.base_mva
+    for load in loads:
+        load.q -= float(off[arrays.at[load.bus]].imag) / sum(other.bus == load.bus for other in loads)
+
+
+def _set_converters(grid: StaticGrid, loads: Sequence[StaticLoad], report: Report) -> list[StaticLoad]:
+    """Give converters the set-points of the file; return those that hold the voltage of their bus.
+
+    At a bus whose units hold the voltage a converter gives no reactive power.
+    """
+    sourced = {unit.bus for unit in grid.units if grid.buses[unit.bus].kind != LOAD}
+    holding = []
+    for load in loads:
+        if load.set_q is None and load.set_v is None:
+            report.assume(
+                "Q of a dc line or FACTS device is what stored voltages leave over that are not a solution",
+                load.where,
+            )
+            continue
+        report.assume(
+            "converter holds its set-point, because the stored voltages are not a solution", load.where
+        )
+        load.q = -(load.set_q or 0.0)
+        if load.set_v is not None and load.bus not in sourced:
+            grid.buses[load.bus].v = load.set_v
+            holding.append(load)
+    return holding
 
 
 def _newton(

@@ -23,7 +23,7 @@ _SPARE = 1.1  #: current limit by the rated current, of a converter without a ra
 def read_vsc_lines(raw: RawFile, grid: StaticGrid, report: Report) -> None:
     """Put VSC dc lines of `raw` into `grid`: their converters as loads, and what a dc link needs."""
     for record in usable(raw.records("VSC dc"), grid, report):
-        if record.whole("MDC", 1) == 0 or not _read(record, raw, grid, report):
+        if record.code("MDC", 1, (0, 1)) == 0 or not _read(record, raw, grid, report):
             report.drop("VSC line out of service", record.where)
 
 
@@ -43,10 +43,12 @@ def _read(record: Record, raw: RawFile, grid: StaticGrid, report: Report) -> boo
         raise holds.wrong("DCSET", f"{volts:g}", "above 0 kV at the voltage end")
     current = _current(record, gives, volts, power)
     drawn = volts * current + _losses(holds, current)
-    loads = [
-        add_load(grid, record, converter.bus("IBUS"), "D", end, complex(taken, 0.0), q_free=True)
-        for converter, end, taken in ((gives, "P", -power), (holds, "V", drawn))
-    ]
+    loads = []
+    for converter, end, taken in ((gives, "P", -power), (holds, "V", drawn)):
+        bus = grid.bus(converter.bus("IBUS"), converter.where).number
+        load = add_load(grid, record, bus, "D", end, complex(taken, 0.0), q_free=True)
+        load.set_v, load.set_q = _set_points(converter, taken)
+        loads.append(load)
     row: dict[str, float | str] = {"vdc_kv": volts, "r_ohm": record.number("RDC", 0.0)}
     for end, converter in (("from", gives), ("to", holds)):
         row[f"{end}_keeps"] = "v" if converter.code("MODE", 1, (1, 2)) == 1 else "q"
@@ -57,10 +59,31 @@ def _read(record: Record, raw: RawFile, grid: StaticGrid, report: Report) -> boo
             report.assume(
                 "VSC converter that regulates another bus keeps the voltage of its own", converter.where
             )
-    of_power, of_voltage = ((c.number("SMAX", 0.0), c.number("IMAX", 0.0)) for c in (gives, holds))
+    of_power, of_voltage = ((_rating(c, "SMAX"), _rating(c, "IMAX")) for c in (gives, holds))
     name = record.text("NAME")
     grid.links.append(StaticVsc(name, record.where, (loads[0], loads[1]), row, (of_power, of_voltage)))
     return True
+
+
+def _set_points(converter: Record, power: float) -> tuple[float | None, float | None]:
+    """Return the voltage, pu, that a converter of `power` MW holds, or the Mvar that it gives, else None.
+
+    Neither is there for a setting that no converter has. A power factor below 0 draws reactive power.
+    """
+    setting = converter.number("ACSET", 1.0)
+    if converter.code("MODE", 1, (1, 2)) == 1:
+        return setting if setting > 0.0 else None, None
+    if not 0.0 < abs(setting) <= 1.0:
+        return None, None
+    factor = math.sqrt(1.0 - setting * setting)
+    return None, math.copysign(abs(power) * factor / abs(setting), setting)
+
+
+def _rating(converter: Record, name: str) -> float:
+    value = converter.number(name, 0.0)
+    if not value >= 0.0:
+        raise converter.wrong(name, f"{value:g}", "0 (no limit) or above")
+    return value
 
 
 def _current(record: Record, gives: Record, volts: float, power: float) -> float:

@@ -11,15 +11,17 @@ from raw_grids import raw_grid
 
 from interarea.grids import linearise
 from interarea.models.case.case import load_case
+from interarea.models.errors import CaseError
 from interarea.models.exporters.raw import raw_of
 from interarea.models.grid.powerflow import solve_powerflow
 from interarea.models.importers.imported import ImportOptions
 from interarea.models.importers.psse import import_psse
 
 LINE = "'V 1',1,{r},1,1.0"
-POWER_END = "2,2,{mode},{power},1.0,100.0,0.5,0.0,{smax},{imax},{pwf},99,-99,0,100"
-VOLTAGE_END = "{to},1,1,300.0,1.0,200.0,0.0,250.0,{smax},0,1,99,-99,{remote},100"
+POWER_END = "{bus},2,{mode},{power},{ac},100.0,0.5,0.0,{smax},{imax},{pwf},99,-99,0,100"
+VOLTAGE_END = "{to},1,1,300.0,{volts},200.0,0.0,250.0,{smax},0,1,99,-99,{remote},100"
 USUAL = {"r": 2.0, "mode": 2, "power": 40.0, "smax": 100.0, "imax": 0.0, "pwf": 0.0, "to": 3, "remote": 0}
+USUAL |= {"bus": 2, "ac": 1.0, "volts": 1.0}
 
 
 def imported(folder: Path, version: int = 33, *, as_power: bool = False, **values):
@@ -55,6 +57,61 @@ def test_ratings_in_ampere_and_mva_give_the_current_limits(tmp_path):
     assert any("regulates another bus" in text for text in result.report.assumed)
     (link,) = result.case.vscs
     assert link.from_i_max_pu == link.to_i_max_pu == 1.1 and link.base_mva > 40.0 / 1.02
+
+
+@pytest.mark.parametrize(("ac", "q"), [(1.0, 0.0), (0.95, 13.147364), (-0.95, -13.147364)])
+def test_set_points_hold_where_the_stored_voltages_are_no_solution(tmp_path, ac, q):
+    """Of 132 MVA off: 40 MW tan(acos 0.95) = 13.147 Mvar at the power end, 1.03 pu at the voltage end."""
+    result = imported(tmp_path, ac=ac, volts=1.03)
+    (link,) = result.case.vscs
+    assert link.from_q_mvar == pytest.approx(q, abs=1e-6)
+    flow = solve_powerflow(result.case)
+    assert flow.magnitudes[2] == pytest.approx(1.03, abs=1e-9)
+    assert sum("converter holds its set-point" in text for text in result.report.assumed) == 1
+    assert any("no solution" in line for line in result.report.lines)
+    path = tmp_path / "solved.raw"  # of the solution itself, the stored voltages give the same Q
+    path.write_text(raw_of(result.case, flow).text)
+    (again,) = import_psse(path).case.vscs
+    assert (again.from_q_mvar, again.to_q_mvar) == pytest.approx((link.from_q_mvar, link.to_q_mvar), abs=1e-6)
+
+
+def test_a_converter_beside_a_unit_that_holds_the_voltage_gives_no_reactive_power(tmp_path):
+    (link,) = imported(tmp_path, bus=1, mode=1).case.vscs
+    assert link.from_q_mvar == 0.0
+
+
+@pytest.mark.parametrize("values", [{"ac": 0.0}, {"ac": 1.5}, {"volts": 0.0}])
+def test_a_setting_that_no_converter_has_leaves_q_to_the_stored_voltages(tmp_path, values):
+    remarks = imported(tmp_path, **values).report.assumed
+    assert (
+        "Q of a dc line or FACTS device is what stored voltages leave over that are not a solution" in remarks
+    )
+
+
+@pytest.mark.parametrize(
+    ("values", "says"),
+    [
+        ({"smax": -5.0}, r"SMAX \(field 9\) = -5, allowed: 0 \(no limit\) or above"),
+        ({"imax": -5.0}, r"IMAX \(field 10\) = -5, allowed: 0 \(no limit\) or above"),
+        ({"to": 77}, r"raw:27: bus 77 does not exist"),
+    ],
+)
+def test_a_wrong_converter_is_refused_by_its_line(tmp_path, values, says):
+    with pytest.raises(CaseError, match=says):
+        imported(tmp_path, **values)
+
+
+def test_a_written_power_factor_is_that_of_its_own_end(tmp_path):
+    """P_mw less losses and R I^2 at the voltage end; another program computes its Q from both."""
+    case = load_case("two-area-thesis")
+    row = load_case("two-area-actuators").vscs[0]
+    row = row.model_copy(update={"P_mw": 60.0, "to_keeps": "q", "to_q_mvar": -20.0, "to_loss_mw": 8.0})
+    flow = solve_powerflow(case := case.model_copy(update={"vscs": (row,)}))
+    written = raw_of(case, flow).text.splitlines()
+    (line,) = [text for text in written if text.startswith(f"{row.to_bus},1,2,")]
+    p2 = 100.0 * flow.inverters[0].real
+    assert abs(p2) < 53.0
+    assert float(line.split(",")[4]) == pytest.approx(-abs(p2) / np.hypot(p2, 20.0), rel=1e-9)
 
 
 @pytest.mark.parametrize(
