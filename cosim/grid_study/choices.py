@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 from pydantic import Field, ValidationError
 
+from interarea.design.delay.signal_conditions import LONGEST_MS
 from interarea.models.case.write_toml import toml_text
 from interarea.models.mistakes import mistakes
 from interarea.models.table import Table
@@ -65,11 +66,12 @@ class Choices(Table):
     #: noise of 1 mHz on a speed then moves an output by .0016 pu at most
     effort: Annotated[float, Field(gt=0.0, description="largest effort, pu per rad/s")] = 0.25
     latencies_ms: Annotated[
-        tuple[Annotated[int, Field(gt=0)], ...],
+        tuple[Annotated[int, Field(gt=0, le=LONGEST_MS)], ...],
         Field(description="latencies of all signals, in addition to zero"),
     ] = (100, 200)
     faults: Annotated[int, Field(ge=1, description="largest number of fault locations")] = 6
-    clear_s: Annotated[float, Field(gt=0.0, description="duration of a fault, s")] = 0.1
+    #: runs end at 10 s, and a swing needs some seconds to be judged
+    clear_s: Annotated[float, Field(gt=0.0, le=5.0, description="duration of a fault, s")] = 0.1
 
     def wanted(self, least: float) -> float:
         """Return the inter-area damping ratio asked for where the least without control is `least`.

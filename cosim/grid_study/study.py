@@ -16,7 +16,7 @@ from interarea.design.robust.operating_points import inter_area_band, judge_fami
 from interarea.fmu_build.write.cache import cached_json, code_hash, content_hash, place
 from interarea.models.case.case import Case
 from interarea.models.case.write_toml import export_toml
-from interarea.models.errors import InterareaError
+from interarea.models.errors import InterareaError, nearest
 from interarea.models.files import write_whole
 from interarea.models.threads import one_thread
 
@@ -70,7 +70,7 @@ def study_grid(
     Raises
     ------
     OSError, or what it caused : the machine cannot do it (a full disk, no memory). CaseError : no operating
-    point.
+    point. ScenarioError : an actuator that the grid has not.
     """
     modes, (rival, latency, last) = STAGES[0], STAGES[-3:]
     choices = choices or Choices(grid=case.name)
@@ -88,6 +88,9 @@ def study_grid(
     with one_thread():
         report(modes, 0.0)
         grid = modes_of_grid(case, cache)
+        if unknown := [name for name in choices.actuators if name not in grid.plant.inputs]:
+            hint = nearest(unknown[0], grid.plant.inputs)
+            raise ScenarioError(f"{case.name}: actuators has {unknown[0]!r}, no input of the grid; {hint}")
         shown, shapes = grid.shown, mode_shapes(grid.shown, case)
 
         def written() -> None:

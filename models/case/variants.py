@@ -48,11 +48,13 @@ def operating_variant(
     machines: dict[str, dict[str, float]] = {}
     words = [case.name]
     if load_scale != 1.0:
-        words.append(f"load-{load_scale:g}")
+        words.append(f"load-{_in_name(load_scale)}")
         loads = {q.name: {"P_mw": q.P_mw * load_scale, "Q_mvar": q.Q_mvar * load_scale} for q in case.loads}
         machines = {m.name: {"P_mw": m.P_mw * load_scale} for m in case.machines}
     if tie_flow_mw:
-        words.append(f"tie-{'plus' if tie_flow_mw > 0.0 else 'minus'}-{abs(tie_flow_mw):g}")
+        words.append(
+            f"tie-{'plus' if tie_flow_mw > 0.0 else 'minus'}-{abs(tie_flow_mw):g}".replace("e+", "e")
+        )
         giving, taking = (case.load(name) for name in between) if between else _ends_of_tie(case)
         for load, step in ((giving, -tie_flow_mw), (taking, tie_flow_mw)):
             loads.setdefault(load.name, {})["P_mw"] = load.P_mw * load_scale + step
@@ -64,6 +66,11 @@ def operating_variant(
     if capacitors := {row.name: "none" for row in case.tcscs if row.branch in out}:
         change["tcscs"] = capacitors
     return with_named_changes(case.with_changes(change, name="-".join(words)), vary)
+
+
+def _in_name(value: float) -> str:
+    """Return a number as the name of a case can have it: without a +."""
+    return f"{value:g}".replace("e+", "e")
 
 
 def _ends_of_tie(case: Case) -> tuple[Load, Load]:

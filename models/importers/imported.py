@@ -53,6 +53,11 @@ class ImportOptions:
             raise CaseError(f"converters = {self.converters!r}, allowed: model, current")
         if self.dc_lines not in ("model", "power"):
             raise CaseError(f"dc_lines = {self.dc_lines!r}, allowed: model, power")
+        for name in ("devices", "leave_out"):
+            if isinstance(value := getattr(self, name), str | Path):
+                raise CaseError(f"{name} = {str(value)!r}, allowed: a list, [{str(value)!r}]")
+        if not isinstance(self.replace, Mapping):
+            raise CaseError(f"replace = {self.replace!r}, allowed: a dict such as {{'USEXST': 'EXST1'}}")
         low, high = RATED_HZ
         if self.frequency_hz is not None and not low <= self.frequency_hz <= high:
             raise CaseError(f"frequency = {self.frequency_hz:g}, allowed: {low:g} to {high:g} Hz")

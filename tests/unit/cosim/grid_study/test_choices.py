@@ -63,6 +63,8 @@ def test_a_study_file_names_its_grid_beside_it(interarea: Any, tmp_path: Path) -
         ('grid = "new-england"\nsingals = 2', "singals"),
         ('grid = "new-england"\nminutes = 0.0', "minutes"),
         ('grid = "new-england"\ninter_area = 1.5', "inter_area"),
+        ('grid = "new-england"\nlatencies_ms = [99999]', "latencies_ms.* 99999, allowed: .* 10000"),
+        ('grid = "new-england"\nclear_s = 100.0', "clear_s = 100.*, allowed: .* 5"),
     ],
 )
 def test_a_mistake_in_it_is_named(text: str, said: str, tmp_path: Path) -> None:
@@ -70,6 +72,12 @@ def test_a_mistake_in_it_is_named(text: str, said: str, tmp_path: Path) -> None:
     file.write_text(text, encoding="utf-8")
     with pytest.raises(ScenarioError, match=said):
         load_choices(file)
+
+
+def test_an_actuator_that_the_grid_has_not_is_a_mistake(interarea: Any, tmp_path: Path) -> None:
+    (tmp_path / "mine.toml").write_text('grid = "two-area-thesis"\nactuators = ["G9_vs"]\n', encoding="utf-8")
+    code, _, err = interarea("study", tmp_path / "mine.toml", "--out", tmp_path / "out")
+    assert code == 2 and "two-area-thesis: actuators has 'G9_vs', no input of the grid; did you mean" in err
 
 
 def test_new_of_what_is_no_grid_is_a_mistake(interarea: Any, tmp_path: Path) -> None:

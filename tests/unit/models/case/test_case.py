@@ -180,6 +180,7 @@ def test_variants_compose_and_are_named() -> None:
     case = load_case("two-area-thesis")
     variant = operating_variant(case, tie_flow_mw=-200.0, out=["8-9 a"], load_scale=1.1)
     assert variant.name == "two-area-thesis-load-1.1-tie-minus-200-out-8-9-a"
+    assert operating_variant(case, tie_flow_mw=2e6).name == "two-area-thesis-tie-plus-2e06"
     assert variant.load("L7").P_mw == pytest.approx(967.0 * 1.1 + 200.0)
     assert variant.load("L9").Q_mvar == pytest.approx(110.0)
     assert variant.machine("G1").P_mw == pytest.approx(770.0)

@@ -212,3 +212,16 @@ def test_a_second_branch_of_one_identifier_is_a_further_circuit_which_is_said(tm
     assert imported.report.assumed[what] == 2
     with pytest.raises(CaseError, match=rf"grid\.raw:\d+: {what}, which --strict does not allow"):
         import_psse(path, options=ImportOptions(strict=True))
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"leave_out": "SEXS"}, r"leave_out = 'SEXS', allowed: a list, \['SEXS'\]"),
+        ({"devices": "own.toml"}, r"devices = 'own.toml', allowed: a list"),
+        ({"replace": "SEXS"}, "replace = 'SEXS', allowed: a dict such as"),
+    ],
+)
+def test_one_name_in_place_of_a_list_is_refused(options: dict, says: str) -> None:
+    with pytest.raises(CaseError, match=says):
+        ImportOptions(**options)
