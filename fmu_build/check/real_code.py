@@ -215,14 +215,15 @@ def leaks(library: RealCodeLibrary, tell: Tell) -> None:
 
 
 def bounds(library: RealCodeLibrary, tell: Tell) -> None:
-    """Outputs are finite or the code is 2; nothing is written beside states, between outputs, over Time."""
+    """Near 1 outputs are finite or the code is 2; no call writes beside states or outputs, nor Time."""
     reals = [p.name for p in library.outputs if p.type in (8, 9)]
-    for swing in (*_SWINGS, (1.0, 0.5)):
-        model = _Tool(library, swing).start()
+    for mean, size in _SWINGS:
+        model = _Tool(library, (mean, size)).start()
         for k in range(1, 4 * _STEPS):
+            model.swing = (mean, size if k < 2 * _STEPS else 5.0 * size)
             model.step(k)
             bad = [name for name in reals if not math.isfinite(model.outputs[name])]
-            if bad and model.code < ERROR:
+            if bad and mean == 1.0 and model.code < ERROR:
                 reason = f"is {model.outputs[bad[0]]} after finite inputs with return code {model.code}"
                 tell("DLL errors", bad[0], reason, "return 2 with LastErrorMessage")
                 break
