@@ -294,7 +294,7 @@ def certify(
         file_for(out, suffix=".json")
     if page is not None:
         file_for(page, "--page", suffix=".html")
-    others = acceptance or worth or out is not None or page is not None
+    others = acceptance or worth or any(given is not None for given in (out, page, conditions))
     check_wrong_options(wrong_signals, detector, others=others)
     loaded, table = _judged(controller, case, spec, conditions)
     if acceptance and table.acceptance is None:

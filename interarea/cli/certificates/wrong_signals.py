@@ -29,8 +29,8 @@ def check_wrong_options(wrong_signals: bool, detector: Path | None, *, others: b
         raise UserError("--detector needs --wrong-signals, allowed: both or none")
     if wrong_signals and others:
         raise UserError(
-            "--wrong-signals: --acceptance, --worth, --out and --page belong to the plain certificate, "
-            "allowed: one call for each"
+            "--wrong-signals: --acceptance, --worth, --conditions, --out and --page belong to the plain "
+            "certificate, allowed: one call for each"
         )
 
 

@@ -193,6 +193,11 @@ def test_options_that_do_not_go_together(tmp_path: Path) -> None:
         fault_place(bare)
 
 
+def test_conditions_are_none_of_the_wrong_signals(interarea: Any) -> None:
+    code, out, err = interarea("certify", "robust", "--wrong-signals", "--conditions", "N")
+    assert (code, out) == (2, "") and "--conditions, --out and --page belong to the plain" in err
+
+
 @pytest.mark.parametrize(
     ("other", "says"),
     [
