@@ -29,6 +29,7 @@ _LEAST_STRENGTH = 0.05
 NEAR_HZ = 0.12  # of a frequency: a mode of a case that it may be
 _LIKE = 0.8  # square of the cosine of two shapes that are one
 _LEAST_RING_S = 4.0
+_ANY_RATIO = 1.0  # half an interval of a damping ratio: wider, it excludes hardly any
 
 
 @dataclass(frozen=True)
@@ -146,7 +147,8 @@ def _ring_down(
     """Return the swings of the ring-down from a point on, as a run's is taken, and the misfit.
 
     One that neither decays nor grows is no ring-down: it is a forced line, which is taken out before what is
-    left is looked at again, or undecided. since : the point from which a line may stand.
+    left is looked at again, or undecided. So is one whose damping ratio could be any. since : the point from
+    which a line may stand.
     """
     skip = start + round(0.25 / swings.step_s)
     if not (len(swings.raw) - skip) * swings.step_s >= _LEAST_RING_S:
@@ -180,7 +182,12 @@ def _ring_down(
             why = f"damped by less than {LEAST_DAMPING:g}: a mode with almost no decay, or a forced line"
             return Swing(mode.frequency_hz, UNDECIDED, size, (), shape, why)
         why = f"rings down; misfit {fit.error:.1%} of the largest value"
-        return Swing(mode.frequency_hz, MODAL, size, (_with_spread(mode.pole, spread[k]),), shape, why)
+        estimate = _with_spread(mode.pole, spread[k])
+        low, high = estimate.damping_interval
+        if not 0.5 * (high - low) <= _ANY_RATIO:
+            why += f"; damping ratio not determined: {low:.3g} to {high:.3g}"
+            return Swing(mode.frequency_hz, UNDECIDED, size, (), shape, why)
+        return Swing(mode.frequency_hz, MODAL, size, (estimate,), shape, why)
 
     return [swing(*each) for each in seen], fit.error
 

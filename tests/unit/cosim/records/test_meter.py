@@ -168,6 +168,17 @@ def test_a_run_rings_down_as_its_own_fit_and_its_roots_say(tmp_path: Path) -> No
     assert high - low < 0.02
 
 
+@pytest.mark.slow
+def test_a_damping_ratio_that_could_be_any_is_not_given(tmp_path: Path) -> None:
+    """One speed of a run with three signals lost: the interval of its pole at 0.21 Hz is -6.6 to 8.2."""
+    ia.simulate("lost-signal").save(tmp_path)
+    swings = ia.meter(tmp_path / "trajectory.parquet", quantity="speed", channels=["plant.G1_dw"]).swings
+    widths = [e.damping_interval[1] - e.damping_interval[0] for s in swings for e in s.estimates]
+    assert widths and max(widths) <= 2.0
+    (none,) = [s for s in swings if not s.estimates]
+    assert none.kind == "undecided" and "damping ratio not determined: -6." in none.why
+
+
 def test_too_short_and_too_slow_records_are_refused_with_what_would_do() -> None:
     short = ambient(1, 60.0)
     with pytest.raises(RecordError, match=r"8 s are too short for 0\.1 Hz, wanted: 20 s at least, or a band"):
