@@ -28,7 +28,7 @@ from interarea.models.errors import nearest
 from interarea.models.files import temporary_folder
 from interarea.models.grid.equilibrium import operating_point
 
-from .record import Array, Record, RecordError
+from .record import Array, Record, RecordError, deviation_hz
 
 _SOURCES = ("PlayA", "PlayB")
 _BUS, _FAR = 1, 2
@@ -149,7 +149,8 @@ def _angle(record: Record, places: Sequence[str], frequency_hz: float) -> Array:
         return record[own[0]]
     frequencies = [there["frequency"] for there in seen if "frequency" in there]
     if frequencies:
-        slip = 2.0 * np.pi * (record[frequencies[0]] - frequency_hz) * record.step_s
+        what = f"{record.source}: {frequencies[0]}"
+        slip = 2.0 * np.pi * deviation_hz(record[frequencies[0]], frequency_hz, what) * record.step_s
         return np.concatenate([[0.0], np.cumsum(0.5 * (slip[1:] + slip[:-1]))])
     if angles:
         raise RecordError(

@@ -9,7 +9,7 @@ import numpy as np
 
 from interarea.fmu_build.open.ports import Description, Port
 
-from .record import Record, RecordError
+from .record import Record, RecordError, deviation_hz
 
 _SAME_S = 1e-9  # s: instants closer than this are one
 
@@ -17,12 +17,12 @@ _SAME_S = 1e-9  # s: instants closer than this are one
 class Playback:
     """A participant of a `System`: output ``y`` is the record from `start_s` to its end, else input ``u``.
 
-    channel : name in the record. A frequency (Hz) becomes its deviation in pu of `nominal_hz`; others are
-    sent as they are. Between points of the record its value is held.
+    channel : name in the record. A frequency (Hz), or its deviation, becomes its deviation in pu of
+    `nominal_hz`; others are sent as they are. Between points of the record its value is held.
 
     Raises
     ------
-    RecordError : no such channel, a value that is no number, a start before 0.
+    RecordError : no such channel, a value that is no number, a start before 0, another rated frequency.
 
     Examples
     --------
@@ -38,6 +38,8 @@ class Playback:
     def __init__(
         self, name: str, record: Record, channel: str, *, start_s: float, nominal_hz: float = 60.0
     ) -> None:
+        if not isinstance(record, Record):
+            raise RecordError(f"{name}: record is {type(record).__name__}, wanted: that of read_record(...)")
         names = [c.name for c in record.channels]
         if channel not in names:
             raise RecordError(f"{record.source}: no channel {channel!r}, allowed: {', '.join(names)}")
@@ -48,7 +50,7 @@ class Playback:
         if not np.all(np.isfinite(values)):
             raise RecordError(f"{record.source}: {channel} has values that are not numbers, allowed: none")
         if record.channels[k].quantity == "frequency":
-            values = (values - nominal_hz) / nominal_hz
+            values = deviation_hz(values, nominal_hz, f"{record.source}: {channel}") / nominal_hz
         self.name, self.start_s = name, start_s
         self._time_s, self._values = record.time_s - record.time_s[0], values
         self._end_s = record.length_s + record.step_s

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 Array = npt.NDArray[np.float64]
+DEVIATION_HZ = 5.0  #: a frequency whose middle is below is a deviation
 #: quantity -> the units in which a record holds it, the physical one first
 UNITS = {
     "frequency": ("Hz",),
@@ -155,3 +156,25 @@ class Record:
         for key in ("unit", "quantity", "terminal"):
             frame.attrs[key] = {c.name: getattr(c, key) for c in self.channels}
         return frame
+
+
+def deviation_hz(frequency: Array, rated_hz: float, what: str) -> Array:
+    """Return a frequency less the rated one, Hz: of values near it, or as they are of values near 0.
+
+    what : the channel, for the message.
+
+    Raises
+    ------
+    RecordError : a rated frequency that is none, or another than that of the values.
+    """
+    if not 0.0 < rated_hz < np.inf:
+        raise RecordError(f"{what}: a rated frequency of {rated_hz:g} Hz, allowed: above 0")
+    middle = float(np.median(frequency))
+    if abs(middle) < DEVIATION_HZ:
+        return frequency
+    if not abs(middle - rated_hz) < DEVIATION_HZ:
+        raise RecordError(
+            f"{what} is {middle:.4g} Hz, allowed: within {DEVIATION_HZ:g} Hz of the rated {rated_hz:g} Hz, "
+            "or a deviation from it"
+        )
+    return np.asarray(frequency - rated_hz)

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from interarea.models.errors import nearest
 
-from ..record import Array, Channel, Record, RecordError
+from ..record import DEVIATION_HZ, Array, Channel, Record, RecordError
 from .even import even_times, longest_piece, on_axis, resampled
 from .names import Raw, known_unit, known_units, other_channel
 from .tables import Table, tables_of
@@ -252,7 +252,9 @@ def _check_scales(source: str, values: Array, raws: Sequence[Raw]) -> None:
             _check_wraps(source, channel, column, raw.factor)
             continue
         middle = float(np.median(column))
-        if channel.quantity == "frequency" and not (_LEAST_HZ <= middle <= _MOST_HZ or abs(middle) < 5.0):
+        if channel.quantity == "frequency" and not (
+            _LEAST_HZ <= middle <= _MOST_HZ or abs(middle) < DEVIATION_HZ
+        ):
             raise _wrong_scale(source, channel, f"{middle:.4g} Hz", "40 to 70 Hz, or a deviation", "mHz")
         if channel.unit == "kV" and not middle <= 2000.0:
             raise _wrong_scale(source, channel, f"{middle:.4g} kV", "up to 2000 kV", "V")

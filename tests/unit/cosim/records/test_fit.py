@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import tempfile
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -13,8 +14,8 @@ from command_line import invoke
 
 import interarea as ia
 from interarea.cosim.records.fit import _jumps
-from interarea.cosim.records.play_in import Bench, Terminal
-from interarea.cosim.records.record import Record, RecordError
+from interarea.cosim.records.play_in import Bench, Terminal, _angle
+from interarea.cosim.records.record import Channel, Record, RecordError
 
 CASE = "two-area-thesis"
 START = {
@@ -158,3 +159,14 @@ def test_a_record_of_a_fault_gives_parameters_within_a_thousandth() -> None:
     assert {p.name for p in result.parameters} == set(truth)
     for p in result.parameters:
         assert p.value == pytest.approx(truth[p.name], rel=0.001)
+
+
+@pytest.mark.parametrize("middle_hz", [60.0, 0.0])
+def test_a_frequency_and_its_deviation_add_up_to_the_same_angle(middle_hz: float) -> None:
+    """0.1 Hz for 2 s: 0.2 turns."""
+    time_s = np.arange(0.0, 2.01, 0.02)
+    channel = Channel("f", "frequency", "Hz", "bus1")
+    record = Record("own", time_s, np.full((len(time_s), 1), middle_hz + 0.1), (channel,))
+    assert _angle(record, ("G1", "bus1"), 60.0)[-1] == pytest.approx(2.0 * np.pi * 0.2, rel=1e-9)
+    with pytest.raises(RecordError, match=r"own: f is 50\.1 Hz, allowed: within 5 Hz of the rated 60 Hz"):
+        _angle(replace(record, values=record.values - middle_hz + 50.0), ("G1", "bus1"), 60.0)

@@ -66,3 +66,29 @@ def record(values: list[float]) -> Record:
 def test_refused(channel: str, values: list[float], start_s: float, says: str) -> None:
     with pytest.raises(RecordError, match=says):
         ia.Playback("wrong", record(values), channel, start_s=start_s)
+
+
+def frequency(middle_hz: float) -> Record:
+    data = middle_hz + np.array([[0.06], [-0.06]])
+    return Record("own", np.array([0.0, 0.02]), data, (Channel("f", "frequency", "Hz", ""),))
+
+
+@pytest.mark.parametrize("middle_hz", [60.0, 0.0])
+def test_a_frequency_and_its_deviation_are_sent_alike(middle_hz: float) -> None:
+    wrong = ia.Playback("wrong", frequency(middle_hz), "f", start_s=0.0)
+    assert [wrong.sent(t, 0.0) for t in (0.0, 0.02)] == pytest.approx([1e-3, -1e-3], abs=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("nominal_hz", "says"),
+    [
+        (50.0, "own: f is 60 Hz, allowed: within 5 Hz of the rated 50 Hz, or a deviation"),
+        (0.0, "a rated frequency of 0 Hz, allowed: above 0"),
+        (float("nan"), "a rated frequency of nan Hz, allowed: above 0"),
+    ],
+)
+def test_another_rated_frequency_is_refused(nominal_hz: float, says: str) -> None:
+    with pytest.raises(RecordError, match=says):
+        ia.Playback("wrong", frequency(60.0), "f", start_s=0.0, nominal_hz=nominal_hz)
+    with pytest.raises(RecordError, match=r"wrong: record is str, wanted: that of read_record"):
+        ia.Playback("wrong", "own.csv", "f", start_s=0.0)  # type: ignore[arg-type]

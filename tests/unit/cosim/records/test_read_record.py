@@ -257,6 +257,12 @@ def test_the_unit_of_a_column_of_times_counts(head: str, factor: float, tmp_path
     assert 1.0 / read_record(frame).step_s == pytest.approx(RATE, rel=1e-9)
 
 
+@pytest.mark.parametrize("rate_hz", [0.0, -1.0, 31.0, float("nan"), float("inf")])
+def test_a_rate_that_the_record_has_not_is_refused(rate_hz: float, tmp_path: Path) -> None:
+    with pytest.raises(RecordError, match=r"rate_hz = .*, allowed: above 0 up to the record's own 30"):
+        read_record(ieee_csv(tmp_path / "r.csv"), rate_hz=rate_hz)
+
+
 def test_a_frequency_that_no_grid_has_is_a_lost_sample(tmp_path: Path) -> None:
     dropped = SWING.copy()
     dropped[100:104] = 0.0
