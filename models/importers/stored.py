@@ -16,7 +16,8 @@ from .report import Report
 from .static import LOAD, SLACK, UNIT, StaticBus, StaticGrid, StaticLoad, StaticUnit
 from .topology import live_islands
 
-GOOD_MVA, FAIR_MVA = 0.1, 5.0  #: mismatch of a solved file, and of one written with few digits
+GOOD_MVA, FAIR_MVA = 0.1, 5.0  #: largest mismatch of a solved file, and of one written with few digits
+_GOOD, _FAIR = 1e-3, 0.05  # of the power of a grid: that of a feeder of 1 MW is not 5 MVA
 _TOLERANCE_PU = 1e-11
 
 
@@ -105,8 +106,8 @@ def solve_stored(grid: StaticGrid, slacks: Sequence[StaticBus], report: Report) 
         is_held[[arrays.at[load.bus] for load in holding]] = True
         free_magnitude = np.flatnonzero(~is_held)
         arrays = _Arrays(grid)
-    report.lines.append(_verdict(stored_mva, stored_bus, len(grid.buses)))
-    if stored_mva > FAIR_MVA:
+    report.lines.append(_verdict(stored_mva, stored_bus, grid))
+    if stored_mva > _limits_mva(grid)[1]:
         where = grid.buses[stored_bus].where
         report.assume("the stored voltages are not a solution; the power flow is solved again", where)
     V = _newton(arrays, free_angle, free_magnitude, is_held)
@@ -150,10 +151,10 @@ def decide_units_at_load_buses(grid: StaticGrid, report: Report) -> None:
         provided = sum((complex(unit.p, unit.q) for unit in units), 0j)
         both = (complex(off[arrays.at[bus]]), complex(off[arrays.at[bus]]) + provided)
         within, without = (abs(z.real if bus in of_p else z) for z in both)
-        if _fits(without, within):
+        if _fits(without, within, grid):
             grid.units = [unit for unit in grid.units if unit not in units]
             what = "left out: the stored voltages are a solution without it"
-        elif _fits(within, without):
+        elif _fits(within, without, grid):
             what = "kept with its P and Q: the stored voltages are a solution with it"
         else:
             what = "kept with its P and Q: the stored voltages do not decide"
@@ -161,9 +162,18 @@ def decide_units_at_load_buses(grid: StaticGrid, report: Report) -> None:
         report.assume(f"unit in service at a bus of type 1 {what} {size}", units[0].where, len(units))
 
 
-def _fits(one: float, other: float) -> bool:
+def _limits_mva(grid: StaticGrid) -> tuple[float, float]:
+    """Return the largest mismatch of a solution, and of one written with few digits, MVA."""
+    provided = sum(abs(complex(unit.p, unit.q)) for unit in grid.units)
+    taken = sum(abs(complex(load.p + load.ip + load.yp, load.q + load.iq + load.yq)) for load in grid.loads)
+    power = max(provided, taken) or grid.base_mva
+    return min(GOOD_MVA, _GOOD * power), min(FAIR_MVA, _FAIR * power)
+
+
+def _fits(one: float, other: float, grid: StaticGrid) -> bool:
     """Whether a mismatch of `one` MVA is that of a solution beside `other`."""
-    return one <= FAIR_MVA and other > max(GOOD_MVA, 10.0 * one)
+    good, fair = _limits_mva(grid)
+    return one <= fair and other > max(good, 10.0 * one)
 
 
 def _hold_set_points(grid: StaticGrid, arrays: _Arrays, report: Report) -> bool:
@@ -171,7 +181,7 @@ def _hold_set_points(grid: StaticGrid, arrays: _Arrays, report: Report) -> bool:
     sourced = {unit.bus for unit in grid.units}
     others = np.array([number not in sourced for number in arrays.numbers])
     off = np.abs(np.where(others, arrays.off(arrays.start), 0.0)) * grid.base_mva
-    if not off.size or not off.max() > FAIR_MVA:
+    if not off.size or not off.max() > _limits_mva(grid)[1]:
         return False
     done: set[int] = set()
     for unit in grid.units:
@@ -216,14 +226,10 @@ def _largest(
     return float(size[worst]), arrays.numbers[worst]
 
 
-def _verdict(size: float, bus: int, buses: int) -> str:
-    if size <= GOOD_MVA:
-        word = "a solution"
-    elif size <= FAIR_MVA:
-        word = "a solution with few digits"
-    else:
-        word = "no solution"
-    return f"stored voltages of {buses} buses: largest mismatch {size:.3g} MVA at bus {bus}: {word}"
+def _verdict(size: float, bus: int, grid: StaticGrid) -> str:
+    good, fair = _limits_mva(grid)
+    word = "a solution" if size <= good else "a solution with few digits" if size <= fair else "no solution"
+    return f"stored voltages of {len(grid.buses)} buses: largest mismatch {size:.3g} MVA at bus {bus}: {word}"
 
 
 def _free_reactive(grid: StaticGrid) -> None:

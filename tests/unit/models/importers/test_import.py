@@ -365,6 +365,24 @@ def test_a_wrong_matpower_file_is_named_with_its_line(write: Write, old: str, ne
         import_matpower(write("grid.m", text.replace(old, new, 1)))
 
 
+@pytest.mark.parametrize(("base_mva", "angle_deg"), [(1.0, 0.0), (100.0, 0.0), (1.0, -0.5729), (1.0, -0.57)])
+def test_a_flat_start_is_no_solution_however_small_the_grid(
+    write: Write, base_mva: float, angle_deg: float
+) -> None:
+    """A load of 0.1 pu behind 0.1 pu: sin(angle) = -0.01 / v, thus -0.5729 deg; .0029 deg are 5e-4 pu."""
+    path = write(
+        "feeder.m",
+        f"mpc.version = '2'; mpc.baseMVA = {base_mva};\n"
+        "mpc.bus = [1 3 0 0 0 0 1 1 0 11 1 1.1 0.9;"
+        f" 2 1 {0.1 * base_mva} 0 0 0 1 0.99995 {angle_deg} 11 1 1.1 0.9];\n"
+        f"mpc.gen = [1 {0.1 * base_mva} 0 9 -9 1 {base_mva} 1 99 0];\n"
+        "mpc.branch = [1 2 0 0.1 0 0 0 0 0 0 1 -360 360];\n",
+    )
+    (line,) = [t for t in import_matpower(path).report.lines if t.startswith("stored voltages")]
+    word = {0.0: ": no solution", -0.5729: ": a solution", -0.57: ": a solution with few digits"}[angle_deg]
+    assert line.endswith(word)
+
+
 def test_import_command_writes_a_case_that_loads_and_refuses_other_files(
     write, tmp_path, monkeypatch, capsys
 ):
