@@ -243,7 +243,7 @@ def test_a_state_that_is_not_finite_is_refused_with_its_bus(change, element):
     plant = started(case_of(change))
     x = plant.x.copy()
     x[plant.state_names.index("G2.eq2")] = np.nan
-    with pytest.raises(BlockFailure, match=rf"bus \d+ for {element}.* t = 0") as failure:
+    with pytest.raises(BlockFailure, match=rf"bus \d+ with {element}.* t = 0") as failure:
         plant.derivatives(x)
     assert failure.value.status == 1  # the step is given up, the state before it stays good
     assert np.abs(plant.derivatives(plant.x)[0]).max() < 1e-11
