@@ -179,7 +179,8 @@ def answered(controller: Controller) -> control.StateSpace:
 def small_signal(name: str, cache: Path, kind: str) -> None:
     """Print a line for each operating point, and how many conditions are unstable."""
     controller, table = shipped_controller(name), load_design(name)
-    total = gone = unstable_alone = below = 0
+    wrong = {condition.name for condition in table.family() if condition.kind == "scaled"}
+    total = gone = scaled = unstable_alone = below = 0
     for point, case in unseen(name, kind, cache).items():
         try:
             plant, modes = judged(case, cache)
@@ -192,18 +193,21 @@ def small_signal(name: str, cache: Path, kind: str) -> None:
             table.family(),
             bands_hz={point: inter_area_band(modes)},
         )
-        unstable = sum(not row.stable for row in verdict.rows)
+        unstable = [row.condition for row in verdict.rows if not row.stable]
+        of_scaled = sum(condition in wrong for condition in unstable)
         alone = min((mode.damping_ratio for mode in modes.values()), default=1.0)
-        total, gone = total + len(verdict.rows), gone + unstable
+        total, gone, scaled = total + len(verdict.rows), gone + len(unstable), scaled + of_scaled
         unstable_alone, below = unstable_alone + (alone <= 0.0), below + (verdict.worst_swing < alone)
         print(
             f"{name:14} {point:20} worst {verdict.worst_swing:.3f} ({alone:.3f} without) "
-            f"inter-area {verdict.inter_area:.3f} unstable {unstable} of {len(verdict.rows)}",
+            f"inter-area {verdict.inter_area:.3f} unstable {len(unstable)} of {len(verdict.rows)}, "
+            f"{of_scaled} of them with a scaled signal",
             flush=True,
         )
     print(
-        f"{name:14} in all: unstable {gone} of {total} conditions; worst swing below that without control at "
-        f"{below} points; {unstable_alone} points unstable without control"
+        f"{name:14} in all: unstable {gone} of {total} conditions, {scaled} of them with a scaled signal; "
+        f"worst swing below that without control at {below} points; {unstable_alone} points unstable without "
+        "control"
     )
 
 
