@@ -67,6 +67,7 @@ def test_on_a_large_grid_the_least_damped_inter_area_mode_gains_a_twentieth(cach
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(900)  # 160 s beside two others on two cores
 @pytest.mark.parametrize(("name", "local_share"), [("new_england", 0.9), ("nets_nyps", 0.9)])
 def test_it_raises_the_inter_area_damping_with_any_one_signal_lost(
     name: str, local_share: float, cache: Path
