@@ -52,9 +52,7 @@ def operating_variant(
         loads = {q.name: {"P_mw": q.P_mw * load_scale, "Q_mvar": q.Q_mvar * load_scale} for q in case.loads}
         machines = {m.name: {"P_mw": m.P_mw * load_scale} for m in case.machines}
     if tie_flow_mw:
-        words.append(
-            f"tie-{'plus' if tie_flow_mw > 0.0 else 'minus'}-{abs(tie_flow_mw):g}".replace("e+", "e")
-        )
+        words.append(f"tie-{'plus' if tie_flow_mw > 0.0 else 'minus'}-{_in_name(abs(tie_flow_mw))}")
         giving, taking = (case.load(name) for name in between) if between else _ends_of_tie(case)
         for load, step in ((giving, -tie_flow_mw), (taking, tie_flow_mw)):
             loads.setdefault(load.name, {})["P_mw"] = load.P_mw * load_scale + step
