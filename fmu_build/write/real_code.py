@@ -127,7 +127,10 @@ def dll_sources(block: Sequence[Path], record_size: int) -> dict[str, bytes]:
     sources[_FRONT.name] = b"#define CAPACITY %d\n" % room + sources[_FRONT.name]
     if "chain.h" in sources:
         sources["instance.h"] = b'#include "chain.h"\n' + sources["instance.h"]
-    sources["fmi2Functions.h"] = sources["fmi2Functions.h"].replace(b"FMI2_Export fmi2", b"fmi2")
+    header = sources["fmi2Functions.h"]
+    sources["fmi2Functions.h"] = header.replace(b"FMI2_Export fmi2", b"fmi2")
+    if sources["fmi2Functions.h"] == header:
+        raise BuildError("fmi2Functions.h of fmpy declares no function with FMI2_Export; reinstall fmpy")
     return sources
 
 
@@ -188,9 +191,7 @@ def _check(block: Block | Chain, chain: Chain, groups: Iterable[Sequence[_Port]]
     for group in groups:
         names = [port_name(p.shown) for p in group]
         if len(set(names)) != len(names) or not all(map(str.isidentifier, names)):
-            raise BuildError(
-                f"{block.name}: names {names} are no different C identifiers; rename the variables"
-            )
+            raise BuildError(f"{block.name}: {names} are no different C identifiers; rename the variables")
 
 
 def entries_of(block: Block | Chain, sample_time_s: float) -> dict[str, npt.ArrayLike | bytes]:

@@ -28,6 +28,7 @@ from interarea.fmu_build.open.real_code import (
     RealCodeLibrary,
     Values,
 )
+from interarea.fmu_build.write import real_code
 from interarea.fmu_build.write.package import build_fmu
 from interarea.fmu_build.write.real_code import Chain, build_dll, port_name
 from interarea.models.blocks.channel import channel_block
@@ -357,3 +358,12 @@ def test_blocks_that_no_dll_can_be_made_of(robust: Block, tmp_path: Path) -> Non
         build_dll(Chain("wrong", members, twice), tmp_path, platform="linux64")
     with pytest.raises(BuildError, match="is a chain of decay, allowed for a DLL: a controller"):
         build_dll(Chain("wrong", {"decay": decay_block()}), tmp_path, platform="linux64")
+
+
+def test_a_header_of_fmi_that_exports_in_another_way_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Else the library would offer the functions of FMI beside those of the interface."""
+    gather = real_code.gather_sources
+    other = {"fmi2Functions.h": b"FMI2_Other_Export fmi2Component fmi2Instantiate(void);"}
+    monkeypatch.setattr(real_code, "gather_sources", lambda files: {**gather(files), **other})
+    with pytest.raises(BuildError, match="declares no function with FMI2_Export; reinstall fmpy"):
+        real_code.dll_sources(decay_block().sources, 100)
