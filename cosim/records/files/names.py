@@ -6,7 +6,7 @@ import math
 import re
 from dataclasses import dataclass
 
-from ..record import Channel
+from ..record import ANGLES, Channel
 
 _RAD = math.pi / 180.0
 #: unit as files write it, in small letters -> quantity it is the unit of ("" several), unit here, factor
@@ -20,9 +20,11 @@ _UNITS: dict[str, tuple[str, str, float]] = {
     "amps": ("current", "A", 1.0),
     "ka": ("current", "A", 1e3),
     "mw": ("active power", "MW", 1.0),
+    "gw": ("active power", "MW", 1e3),
     "kw": ("active power", "MW", 1e-3),
     "w": ("active power", "MW", 1e-6),
     "mvar": ("reactive power", "Mvar", 1.0),
+    "gvar": ("reactive power", "Mvar", 1e3),
     "kvar": ("reactive power", "Mvar", 1e-3),
     "var": ("reactive power", "Mvar", 1e-6),
     "deg": ("voltage angle", "rad", _RAD),
@@ -76,15 +78,15 @@ _PSSE_NAME = re.compile(
     r"\s*(?P<kind>[A-Z]+)\s*(?P<bus>\d+)\s*(?:\[[^\]]*\])?\s*"
     r"(?:TO\s+(?P<to>\d+)\s+CKT\s+'?(?P<circuit>[^' ]+)\s*'?|(?P<id>\S+))?\s*$"
 )
-#: words of a name -> quantity, for tables of other makes; the first that fits
+#: words of a name, spaces between -> quantity, for tables of other makes; the first that fits
 _WORDS = (
-    (r"\b(va|v_?ang\w*|volt\w*[ _]?ang\w*|theta)\b", "voltage angle"),
-    (r"\b(ia|i_?ang\w*|curr\w*[ _]?ang\w*)\b", "current angle"),
-    (r"\b(vm|v_?mag\w*|volt\w*|vt|v)\b", "voltage"),
-    (r"\b(im|i_?mag\w*|curr\w*|i)\b", "current"),
+    (r"\b(delta|rotor ?ang\w*)\b", "rotor angle"),
+    (r"\b(ia|i ?ang\w*|curr\w* ?(phase )?ang\w*)\b", "current angle"),
+    (r"\b(va|v ?ang\w*|volt\w* ?ang\w*|theta|ang|angle)\b", "voltage angle"),
+    (r"\b(vm|v ?mag\w*|volt\w*|vt|v)\b", "voltage"),
+    (r"\b(im|i ?mag\w*|curr\w*|i)\b", "current"),
     (r"\b(f|freq\w*)\b", "frequency"),
     (r"\b(dw|speed|omega)\b", "speed"),
-    (r"\b(delta)\b", "rotor angle"),
     (r"\b(p|pe|mw|active\w*)\b", "active power"),
     (r"\b(q|mvar|reactive\w*)\b", "reactive power"),
     (r"\b(stat\w*)\b", "status"),
@@ -118,14 +120,17 @@ def ieee_channel(terminal: str, kind: str, unit: str) -> Raw:
 
 
 def own_channel(column: str, unit: str) -> Raw | None:
-    """Return the channel of a column ``INSTANCE.VARIABLE`` of a run; None of another name."""
+    """Return the channel of a column ``INSTANCE.VARIABLE`` of a run; None of another name.
+
+    unit : as the run has it, "" where its file has none: rad of angles, else pu.
+    """
     instance, dot, variable = column.partition(".")
     if not dot:
         return None
     for pattern, quantity in _OWN:
         if match := re.fullmatch(pattern, variable):
-            at = match["at"]
-            return Raw(Channel(column, quantity, unit, at if instance == "plant" else f"{instance}.{at}"))
+            at = match["at"] if instance == "plant" else f"{instance}.{match['at']}"
+            return Raw(Channel(column, quantity, unit or ("rad" if quantity in ANGLES else "pu"), at))
     return Raw(Channel(column, "other", unit or "1", ""))
 
 
@@ -148,28 +153,37 @@ def psse_channel(name: str, frequency_hz: float) -> Raw | None:
     return Raw(Channel(text, quantity, unit, terminal), factor, offset)
 
 
-def _without_unit(column: str, unit: str) -> tuple[str, str]:
-    """Return a name without the unit in brackets at its end, and that unit or a word that is one."""
-    bracket = re.search(r"[\[(]\s*([^\[\]()]*)\s*[\])]\s*$", column)
-    if bracket and not unit and known_unit(bracket[1]):
-        return column[: bracket.start()].strip(), bracket[1]
-    return column, unit or _unit_word(column)
+def _without_unit(column: str, unit: str) -> tuple[str, str, str]:
+    """Return a name without the unit in brackets at its end, its part that is not a unit, and that unit.
 
-
-def _unit_word(column: str) -> str:
-    """Return the unit that a word of a name is, "" without one or with several."""
-    units = {word for word in re.split(r"[\s_.:]+", column.casefold()) if word in _UNIT_WORDS}
-    return units.pop() if len(units) == 1 else ""
+    A word in square brackets is a unit even if it is not known; elsewhere it may be something else.
+    """
+    bracket = re.search(r"[\[(]\s*([^\[\]()\s]*)\s*[\])]\s*$", column)
+    if bracket and not unit and (known_unit(bracket[1]) or "[" in bracket[0]):
+        column, unit = column[: bracket.start()].strip(), bracket[1]
+    words = {word for word in re.split(r"[\s_.:]+", column.casefold()) if word in _UNIT_WORDS}
+    if len(words) != 1 or (unit and words != {unit.strip().casefold()}):
+        return column, column, unit
+    word = words.pop()
+    rest = re.sub(rf"(?<![^\s_.:]){re.escape(word)}(?![^\s_.:])", "", column, count=1, flags=re.IGNORECASE)
+    return column, rest, unit or word
 
 
 def other_channel(column: str, unit: str = "", quantity: str = "", terminal: str = "") -> Raw:
     """Return the channel of any column, by its unit and the words of its name, such as ``Bus 7 VM [kV]``."""
-    column, unit = _without_unit(column, unit)
+    column, rest, unit = _without_unit(column, unit)
     by_unit, own, factor = _UNITS.get(unit.strip().casefold(), ("", unit or "1", 1.0))
-    words = re.sub(r"[_.:]+", " ", column).casefold()
-    by_word, place = next(((w, p) for r, w in _WORDS if (p := re.search(r, words))), ("", None))
+    by_word, place = _word(rest) or _word(column) or ("", "")
     fits = not by_unit or by_word == by_unit or (own == "rad" and by_word.endswith("angle"))
     quantity = quantity or (by_word if fits and by_word else by_unit) or "other"
-    if not terminal and place is not None and quantity == by_word:
-        terminal = (column[: place.start()] + column[place.end() :]).strip(" _.:-")
-    return Raw(Channel(column, quantity, own or "1", terminal), factor)
+    return Raw(Channel(column, quantity, own or "1", terminal or place), factor)
+
+
+def _word(name: str) -> tuple[str, str] | None:
+    """Return the quantity that a word of a name is, and the rest of the name, its terminal."""
+    words = re.sub(r"[_.:]", " ", name).casefold()
+    for pattern, quantity in _WORDS:
+        if match := re.search(pattern, words):
+            rest = name[: match.start()] + name[match.end() :]
+            return quantity, re.sub(r"([\s_.:])[\s_.:]+", r"\1", rest).strip(" _.:-")
+    return None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,7 +13,7 @@ import numpy.typing as npt
 
 from interarea.models.errors import nearest
 
-from ..record import DEVIATION_HZ, Array, Channel, Record, RecordError
+from ..record import ANGLES, DEVIATION_HZ, UNITS, Array, Channel, Record, RecordError
 from .even import even_times, longest_piece, on_axis, resampled
 from .names import Raw, known_unit, known_units, other_channel
 from .tables import Table, tables_of
@@ -61,8 +62,10 @@ def read_record(
     {'name': 'Bus 7 VM', 'quantity': 'voltage', 'unit': 'kV', 'terminal': 'Bus 7'}
     """
     name = _named(source)
-    table = next(tables_of(source, frequency_hz))
-    record = _record(name, table, units or {}, fill_s, rate_hz)
+    if not 0.0 <= fill_s < inf:
+        raise RecordError(f"{name}: fill_s = {fill_s:g} s, allowed: 0 or above")
+    table = next(tables_of(source, _rated(name, frequency_hz)))
+    record = _record(name, table, units or {}, fill_s, rate_hz, frequency_hz)
     return record if window_s is None else record.between(*window_s)
 
 
@@ -91,12 +94,12 @@ def read_pieces(
     ------
     UserError : another kind of file, or a length that is not positive.
     """
-    if not every_s > 0.0:
+    if not 0.0 < every_s < inf:
         raise RecordError(f"pieces of {every_s:g} s, allowed: above 0")
     name = _named(source)
-    for start_s, table in _cut(tables_of(source, frequency_hz, PIECE_ROWS), every_s):
+    for start_s, table in _cut(tables_of(source, _rated(name, frequency_hz), PIECE_ROWS), every_s):
         try:
-            record: Record | RecordError = _record(name, table, units or {}, FILL_S, None)
+            record: Record | RecordError = _record(name, table, units or {}, FILL_S, None, frequency_hz)
         except RecordError as error:
             record = error
         yield Piece(start_s, start_s + every_s, record)
@@ -143,8 +146,19 @@ def _named(source: object) -> str:
     return str(source) if isinstance(source, str | Path) else "the table"
 
 
+def _rated(name: str, frequency_hz: float) -> float:
+    if not 0.0 < frequency_hz < inf:
+        raise RecordError(f"{name}: frequency_hz = {frequency_hz:g}, allowed: above 0, the grid's rated one")
+    return frequency_hz
+
+
 def _record(
-    name: str, table: Table, units: Mapping[str, str], fill_s: float, rate_hz: float | None
+    name: str,
+    table: Table,
+    units: Mapping[str, str],
+    fill_s: float,
+    rate_hz: float | None,
+    frequency_hz: float,
 ) -> Record:
     """Return the record that a table holds.
 
@@ -152,16 +166,21 @@ def _record(
     ------
     RecordError : a wrong scale, times that jump, or nothing that moves.
     """
-    raws = [_with_unit(raw, units, name) for raw in table.raws]
+    raws = [_with_unit(_in_hertz(raw, frequency_hz), units, name, frequency_hz) for raw in table.raws]
     _check_units(units, raws, name)
-    values = table.values * np.array([r.factor for r in raws]) + np.array([r.offset for r in raws])
+    kept = [k for k, raw in enumerate(raws) if not _misfit(raw.channel)]
+    misfits = [_misfit(raw.channel) for raw in raws if _misfit(raw.channel)]
+    if not kept:
+        raise RecordError(f"{name}: no channel is left, {'; '.join(misfits[:_NAMED])}")
+    raws = [raws[k] for k in kept]
+    values = table.values[:, kept] * np.array([r.factor for r in raws]) + np.array([r.offset for r in raws])
     values, raws, flagged = _without_flagged(values, raws)
     _check_scales(name, values, raws)
     flagged += [*_without_dropouts(values, raws), *_without_units(raws)]
     place, step_s, remark = even_times(name, table.stamps)
     piece, cut = longest_piece(name, place, step_s, fill_s)
     values, raws, filled = on_axis(name, place[piece], values[piece], raws, step_s, fill_s)
-    notes = [*table.notes, *flagged, *remark, *cut, *filled]
+    notes = [*table.notes, *misfits, *flagged, *remark, *cut, *filled]
     if rate_hz is not None:
         values, step_s, resampling = resampled(values, step_s, rate_hz, name)
         notes += [resampling] if resampling else []
@@ -173,7 +192,7 @@ def _record(
     return record
 
 
-def _with_unit(raw: Raw, units: Mapping[str, str], source: str) -> Raw:
+def _with_unit(raw: Raw, units: Mapping[str, str], source: str, frequency_hz: float) -> Raw:
     """Return a channel with the unit that the caller names for its name, its last word or its quantity."""
     channel = raw.channel
     unit = next(
@@ -183,7 +202,31 @@ def _with_unit(raw: Raw, units: Mapping[str, str], source: str) -> Raw:
         return raw
     if not known_unit(unit):
         raise RecordError(f"{source}: units[...] = {unit!r}, allowed: {known_units()}")
-    return other_channel(channel.name, unit, channel.quantity, channel.terminal)
+    raw = _in_hertz(other_channel(channel.name, unit, channel.quantity, channel.terminal), frequency_hz)
+    if _misfit(raw.channel):
+        raise RecordError(
+            f"{source}: units[...] = {unit!r} for {channel.name}, allowed: a unit of its quantity, "
+            f"{channel.quantity}"
+        )
+    return raw
+
+
+def _in_hertz(raw: Raw, frequency_hz: float) -> Raw:
+    """Return a channel of a frequency in pu, near 1 or a deviation, as one in Hz."""
+    if raw.channel.quantity != "frequency" or raw.channel.unit != "pu":
+        return raw
+    return replace(raw, channel=replace(raw.channel, unit="Hz"), factor=raw.factor * frequency_hz)
+
+
+def _misfit(channel: Channel) -> str:
+    """Return why a channel has a unit that its quantity cannot have, with the remedy; "" if it can."""
+    allowed = UNITS[channel.quantity]
+    if channel.unit in ("1", *allowed) or channel.quantity == "other":
+        return ""
+    return (
+        f"{channel.name}: {channel.quantity} in {channel.unit}, allowed: {', '.join(allowed)}: left out; "
+        f"if the unit is wrong give it, as units = {{{channel.name!r}: {allowed[0]!r}}}"
+    )
 
 
 def _check_units(units: Mapping[str, str], raws: Sequence[Raw], source: str) -> None:
@@ -218,27 +261,34 @@ def _without_flagged(values: Array, raws: list[Raw]) -> tuple[Array, list[Raw], 
 
 
 def _without_dropouts(values: Array, raws: Sequence[Raw]) -> list[str]:
-    """Take samples that no grid's frequency can be out of `values`, such as the zeros of a lost frame."""
+    """Take impossible samples out of `values`, such as zeros of a frequency; return notes on them."""
     notes = []
     for k, raw in enumerate(raws):
-        column = values[:, k]
+        column, quantity = values[:, k], raw.channel.quantity
         there = column[np.isfinite(column)]
-        if raw.channel.quantity != "frequency" or not there.size or not np.median(there) >= _LEAST_HZ:
+        if quantity == "frequency" and there.size and np.median(there) >= _LEAST_HZ:
+            low, high, outside = _LEAST_HZ, _MOST_HZ, f"outside {_LEAST_HZ:g} to {_MOST_HZ:g} Hz"
+        elif quantity in ("voltage", "current"):
+            low, high, outside = 0.0, inf, "below 0"
+        else:
             continue
-        wrong = ~((column >= _LEAST_HZ) & (column <= _MOST_HZ)) & ~np.isnan(column)
+        wrong = ~((column >= low) & (column <= high)) & ~np.isnan(column)
         if wrong.any():
             column[wrong] = np.nan
-            many = f"{raw.channel.name}: {int(wrong.sum())} samples"
-            notes.append(f"{many} are outside {_LEAST_HZ:g} to {_MOST_HZ:g} Hz: left out")
+            notes.append(f"{raw.channel.name}: {int(wrong.sum())} samples are {outside}: left out")
     return notes
 
 
 def _without_units(raws: Sequence[Raw]) -> list[str]:
-    """Return a note where angles have no unit."""
-    silent = [r.channel.name for r in raws if r.channel.quantity.endswith("angle") and r.channel.unit == "1"]
-    if not silent:
-        return []
-    return [f"angles without a unit in the file are taken as rad: {', '.join(silent[:_NAMED])}"]
+    """Return notes where angles, or what has another unit than 1, have none."""
+    silent = [r.channel for r in raws if r.channel.unit == "1" and UNITS[r.channel.quantity] != ("1",)]
+    angles = [c.name for c in silent if c.quantity in ANGLES]
+    others = [c.name for c in silent if c.quantity not in ANGLES]
+    kinds = (
+        (angles, "angles without a unit in the file are taken as rad"),
+        (others, "without a known unit in the file, used as they are"),
+    )
+    return [f"{what}: {', '.join(names[:_NAMED])}" for names, what in kinds if names]
 
 
 def _check_scales(source: str, values: Array, raws: Sequence[Raw]) -> None:

@@ -37,7 +37,7 @@ _DECIMAL_COMMA = re.compile(r"\s*[-+]?\d*,\d+(?:[eE][-+]?\d+)?\s*")
 _MOST_TEXT = 0.05  # of the samples of a column: more are no number, and it is no channel
 _IEEE_SAID = "PMU csv of the IEEE form; kV are phase to ground, power is of three phases"
 _PSSE_SAID = "channels of PSS/E: FREQ as pu of {:g} Hz, powers of machines as pu of SBASE"
-_OWN_SAID = "a run's csv has no units: pu assumed"
+_OWN_SAID = "a run's csv has no units: rad of angles and pu assumed"
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +81,7 @@ class Clock:
             if numbers.notna().all():
                 return np.asarray(self._since(numbers.to_numpy(dtype=float), "") * self.unit_s)
             mostly = numbers.notna().mean() > 0.5
-            dates = numbers if mostly else pd.to_datetime(column, errors="coerce", format="mixed")
+            dates = numbers if mostly else _dates(column)
         if dates.isna().any():
             row = int(np.flatnonzero(dates.isna())[0])
             raise RecordError(
@@ -94,6 +94,20 @@ class Clock:
         if self._first is None:
             self._first, self.start = values[0], start
         return values - self._first
+
+
+def _dates(column: Any) -> Any:
+    """Return a column of texts as dates, NaT where one is none; in UTC if the zone changes, as in spring.
+
+    Of 05.04.2025 the day comes first, of 04/05/2025 the month.
+    """
+    import pandas as pd
+
+    first = re.match(r"\s*\d{1,2}\.\d{1,2}\.\d{4}", str(column.iloc[0])) is not None
+    try:
+        return pd.to_datetime(column, errors="coerce", format="mixed", dayfirst=first)
+    except ValueError:
+        return pd.to_datetime(column, errors="coerce", format="mixed", dayfirst=first, utc=True)
 
 
 def require_record(path: str | Path) -> None:
@@ -285,7 +299,7 @@ def _named_columns(
         channels = [raw or other_channel(name) for raw, name in zip(psse, names[1:], strict=True)]
         return channels, [_PSSE_SAID.format(frequency_hz)]
     if names[0] == TIME:
-        return [own_channel(n, "pu") or other_channel(n) for n in names[1:]], [_OWN_SAID]
+        return [own_channel(n, "") or other_channel(n) for n in names[1:]], [_OWN_SAID]
     units = _units_row(extra, len(names))
     return [other_channel(n, u) for n, u in zip(names[1:], units[1:], strict=True)], []
 

@@ -198,6 +198,7 @@ def test_a_run_is_read_back(tmp_path: Path) -> None:
     run.save(tmp_path)
     for name in ("trajectory.parquet", "trajectory.csv"):
         record = ia.read_record(tmp_path / name)
+        assert {c.unit for c in record.channels if c.quantity == "rotor angle"} == {"rad"}
         assert record.terminals["G2"] == {
             "speed": "plant.G2_dw",
             "rotor angle": "plant.G2_delta",
@@ -269,6 +270,23 @@ def test_a_frequency_that_no_grid_has_is_a_lost_sample(tmp_path: Path) -> None:
     record = read_record(table_csv(tmp_path / "r.csv", "Time,F [Hz]", TIME, dropped))
     np.testing.assert_allclose(record.values[:, 0], SWING, atol=1e-3)
     assert "F: 4 samples are outside 40 to 70 Hz: left out" in record.notes
+
+
+def test_a_magnitude_below_0_is_a_lost_sample(tmp_path: Path) -> None:
+    dropped = SWING.copy()
+    dropped[100:104] = -9999.0
+    record = read_record(table_csv(tmp_path / "r.csv", "Time,Bus 7 VM [kV]", TIME, dropped))
+    np.testing.assert_allclose(record.values[:, 0], SWING, atol=1e-3)
+    assert "Bus 7 VM: 4 samples are below 0: left out" in record.notes
+
+
+def test_of_a_date_with_points_the_day_comes_first(tmp_path: Path) -> None:
+    stamps = pd.Timestamp("2025-04-12 23:59:58") + pd.to_timedelta(TIME, unit="s")
+    rows = [f"{stamp:%d.%m.%Y %H:%M:%S.%f},{v:.6f}" for stamp, v in zip(stamps, SWING, strict=True)]
+    (tmp_path / "r.csv").write_text("\n".join(["Time,F [Hz]", *rows]))
+    record = read_record(tmp_path / "r.csv")
+    assert record.start.startswith("2025-04-12 23:59:58")
+    assert record.length_s == pytest.approx(TIME[-1], abs=1e-3)
 
 
 def test_a_word_of_a_name_can_be_the_unit(tmp_path: Path) -> None:
@@ -386,3 +404,56 @@ def test_units_named_by_the_caller_are_taken_or_refused(tmp_path: Path) -> None:
         read_record(path, units={"VX": "V"})
     with pytest.raises(RecordError, match="= 'furlong', allowed: a, amp"):
         read_record(path, units={"VM": "furlong"})
+    with pytest.raises(RecordError, match=r"= 'MW' for .* VM, allowed: a unit of its quantity, voltage"):
+        read_record(path, units={"VM": "MW"})
+
+
+@pytest.mark.parametrize("wrong", [-1.0, float("nan"), float("inf")])
+@pytest.mark.parametrize("option", ["fill_s", "frequency_hz"])
+def test_an_option_that_is_no_time_and_no_frequency_is_refused(
+    option: str, wrong: float, tmp_path: Path
+) -> None:
+    with pytest.raises(RecordError, match=rf"r.csv: {option} = {wrong:g}"):
+        read_record(ieee_csv(tmp_path / "r.csv"), **{option: wrong})
+
+
+def test_what_its_unit_does_not_fit_is_left_out_and_a_frequency_in_pu_is_converted(tmp_path: Path) -> None:
+    head = "Time,Line 1 P [GW],F_pu_bus7,G1 speed [rpm],F slope [Hz/s],Line 2 P"
+    path = table_csv(tmp_path / "r.csv", head, TIME, SWING, SWING / 60.0, SWING, SWING, SWING)
+    record = read_record(path, frequency_hz=50.0)
+    assert [(c.name, c.unit) for c in record.channels] == [
+        ("Line 1 P", "MW"),
+        ("F_pu_bus7", "Hz"),
+        ("Line 2 P", "1"),
+    ]
+    np.testing.assert_allclose(record["Line 1 P"], 1e3 * SWING, rtol=1e-6)
+    np.testing.assert_allclose(record["F_pu_bus7"], SWING * 50.0 / 60.0, rtol=1e-6)
+    assert any(n.startswith("G1 speed: speed in rpm, allowed: pu: left out") for n in record.notes)
+    assert any(n.startswith("F slope: frequency in Hz/s, allowed: Hz: left out") for n in record.notes)
+    assert "without a known unit in the file, used as they are: Line 2 P" in record.notes
+
+
+def test_a_word_for_the_unit_is_no_part_of_the_terminal(tmp_path: Path) -> None:
+    head = "Time,VA_deg_bus7,VM_kV_bus7,Bus 7 F [Hz],bus7_P_MW,I_ang_bus7,bus7.angle,G1 rotor angle [deg]"
+    path = table_csv(tmp_path / "r.csv", head, TIME, *[SWING] * 7)
+    assert [(c.quantity, c.terminal) for c in read_record(path).channels] == [
+        ("voltage angle", "bus7"),
+        ("voltage", "bus7"),
+        ("frequency", "Bus 7"),
+        ("active power", "bus7"),
+        ("current angle", "bus7"),
+        ("voltage angle", "bus7"),
+        ("rotor angle", "G1"),
+    ]
+
+
+def test_the_clocks_may_change_within_a_record(tmp_path: Path) -> None:
+    rows = ["Timestamp,F [Hz]"]
+    for k, value in enumerate(SWING):
+        zone = "01:59:5" if k < 50 else "03:00:0"  # 5 a second
+        rows.append(f"2025-03-30T{zone}{(k % 50) / 5:.1f}+0{1 if k < 50 else 2}:00,{value:.6f}")
+    path = tmp_path / "r.csv"
+    path.write_text("\n".join(rows[:101]))
+    record = read_record(path)
+    assert record.step_s == pytest.approx(0.2)
+    assert record.length_s == pytest.approx(99 * 0.2)
