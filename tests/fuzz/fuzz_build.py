@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import hashlib
 import os
+import re
 import shlex
 import shutil
 import subprocess
@@ -103,12 +104,16 @@ class Driver:
 
 
 def _object(name: str, folder: Path, compiler: Compiler, level: str) -> Path:
-    """Return the object of a C file, one for all drivers in which its preprocessed text is the same."""
+    """Return the object of a C file, one for all drivers in which its preprocessed text is the same.
+
+    The line in which gcc, with `-g`, names the folder it compiles in does not count.
+    """
     command = [*compiler.command, "-std=gnu99", "-g", level, "-ffp-contract=off", *compiler.flags, "-I."]
     text = _compiled([*command, "-E", name], folder)
     assert text.returncode == 0, text.stderr[-4000:]
     kept = Path(os.environ["INTERAREA_CACHE"], "fuzz-objects") if "INTERAREA_CACHE" in os.environ else folder
-    made = kept / f"{hashlib.sha256(repr(command).encode() + text.stdout.encode()).hexdigest()}.o"
+    anywhere = re.sub(r'(?m)^# \d+ ".*//"$', "", text.stdout)
+    made = kept / f"{hashlib.sha256(repr(command).encode() + anywhere.encode()).hexdigest()}.o"
     if not made.exists():
         kept.mkdir(parents=True, exist_ok=True)
         done = _compiled([*command, "-c", name, "-o", f"{name}.o"], folder)
