@@ -179,7 +179,7 @@ def judged_and_design(
 
     Raises
     ------
-    UserError : no such controller, case or design; conditions beside a design, or of another kind.
+    UserError : no such controller, case or design, or one of another loop; conditions beside a design.
     """
     table = None if spec is None else _table(spec, case)
     if table is not None and conditions:
@@ -189,7 +189,20 @@ def judged_and_design(
     own = specification_of(judged) if table is None and not conditions else None
     if own is not None:
         return judged, own if case is None else own.on(grid)
+    if table is not None:
+        _require_same_loop(judged, table)
     return judged, table or plain_design(judged, grid, conditions)
+
+
+def _require_same_loop(judged: Controller | ControllerBank, table: DesignTable) -> None:
+    seen = set(table.signals) <= set(judged.inputs) <= set(table.seen)
+    if not seen or set(judged.outputs) != set(table.actuators):
+        loops = (table.signals, table.actuators, judged.inputs, judged.outputs)
+        signals, actuators, inputs, outputs = (", ".join(names) for names in loops)
+        raise ScenarioError(
+            f"design {table.name}: is for {signals} -> {actuators}, controller {judged.name} has {inputs} -> "
+            f"{outputs}; give the design of the controller with --spec, or --conditions"
+        )
 
 
 def plain_design(judged: Controller | ControllerBank, grid: Case, conditions: Sequence[str]) -> DesignTable:

@@ -147,11 +147,10 @@ def settings_of(
     ------
     ScenarioError : `never_lost` names what is no signal of the controller.
     """
-    if strange := sorted(set(table.never_lost) - set(signals)):
-        raise ScenarioError(
-            f"acceptance: never_lost names {', '.join(strange)}; the controller's signals are "
-            f"{', '.join(signals)}"
-        )
+    try:
+        table.check_signals(signals)
+    except ValueError as error:
+        raise ScenarioError(str(error)) from None
     sure = [name for name in signals if name not in table.never_lost]
     kinds: list[tuple[tuple[str, ...], tuple[str, str] | None]] = [((), None)]
     kinds += [((name,), None) for name in sure]

@@ -78,6 +78,8 @@ def _member_table(table: DesignTable, member: MemberTable) -> DesignTable:
         "conditions": member.conditions,
         "starts": max(table.starts, 1),
     }
+    if table.acceptance is not None:
+        keys["acceptance"] = table.acceptance.of(member.signals)
     keys["gain_of"] = {s: gain for s, gain in table.gain_of.items() if s in member.signals}
     keys["ask"] = table.ask.model_copy(
         update={"worst_swing": member.worst_swing, "inter_area": member.inter_area}

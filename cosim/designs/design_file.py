@@ -19,12 +19,11 @@ from interarea.design.robust.design import design_robust
 from interarea.design.robust.operating_points import FamilyCertificate, inter_area_band, judge_family
 from interarea.design.robust.smoothed_objective import BandOffsets
 from interarea.design.robust.spec import RobustSpec, require_moved
-from interarea.models.blocks.plant_shown import shown_of
 from interarea.models.case.case import Case, load_case
 from interarea.models.mistakes import mistakes
 from interarea.models.table import Table
 
-from ..errors import ScenarioError, nearest
+from ..errors import ScenarioError
 from ..scenario.named import design_file as named_file
 from ..toml_file import case_beside, read_toml
 from .acceptance import judge_acceptance
@@ -34,14 +33,16 @@ from .design_tables import (
     AskTable,
     BankTable,
     GuardTable,
+    Identifier,
     Offsets,
     PartTable,
     PointTable,
     Positive,
     StageTable,
     TargetTable,
+    require_distinct,
 )
-from .family import family_cases, family_plants, with_margins, with_mode_changes
+from .family import family_cases, family_plants, require_in_grid, with_margins, with_mode_changes
 from .first_swing import FaultRow, FaultTable, after_fault, predicted_drive
 from .swing_sensitivity import FirstSwingTable, swing_penalty
 
@@ -56,7 +57,7 @@ class DesignTable(Table):
     Either one loop (`remote`, `local`, `actuator`, `order`), or one `part` for each actuator.
     """
 
-    name: str  #: of the controller: letters, digits and _
+    name: Identifier  #: of the controller: letters, digits and _
     case: str  #: bundled name, or a case file relative to this one
     remote: str | None = None  #: the remote signal, such as `G2_dw`
     local: str | None = None  #: the signal measured at the actuator, such as `G4_dw`
@@ -137,6 +138,12 @@ class DesignTable(Table):
         return tuple(name for name in (self.remote, self.local) if name is not None)
 
     @property
+    def seen(self) -> tuple[str, ...]:
+        """Names of the controller's inputs, with that which its guard follows."""
+        follows = () if self.guard is None or self.guard.follows is None else (self.guard.follows,)
+        return tuple(dict.fromkeys((*self.signals, *follows)))
+
+    @property
     def actuators(self) -> tuple[str, ...]:
         """Names of the controller's outputs."""
         return tuple(part.actuator for part in self.part) or ((self.actuator,) if self.actuator else ())
@@ -144,6 +151,7 @@ class DesignTable(Table):
     @model_validator(mode="after")
     def _points_agree(self) -> DesignTable:
         known = [point.name for point in self.point]
+        require_distinct("point", known)
         for k, stage in enumerate(self.stage, start=1):
             if strange := sorted(set(stage.points) - set(known)):
                 raise ValueError(f"stage {k} names unknown points {strange}; the design has {sorted(known)}")
@@ -163,6 +171,10 @@ class DesignTable(Table):
             raise ValueError(f"gain_of names {strange}, allowed: {', '.join(self.signals)}")
         if self.bank is not None:
             self.bank.check(self.signals, self.guard)
+        if self.acceptance is not None:
+            self.acceptance.check_signals(self.seen)
+        if self.guard is not None:
+            self.guard.guard().check(self.name, self.seen, self.actuators)
         return self
 
     @model_validator(mode="after")
@@ -174,6 +186,7 @@ class DesignTable(Table):
         if not self.part and len(keys) < len(single):
             missing = [key for key in single if key not in keys]
             raise ValueError(f"missing {', '.join(missing)} (or one [[part]] for each actuator)")
+        require_distinct("remote, local", [s for s in (self.remote, self.local) if s is not None])
         return self
 
     def family(self) -> tuple[Condition, ...]:
@@ -264,11 +277,11 @@ def run_design(
     Raises
     ------
     InfeasibleDesign : a mode out of reach, or no start that keeps every design model stable.
-    ScenarioError : a guard that follows what the plant does not show.
+    ScenarioError : a bus, branch or followed output that the grid does not have.
     """
     linearising, searching, certifying = DESIGN_STEPS
     progress(linearising, 0.0, "")
-    _check_followed(table)
+    require_in_grid(table.name, table.grid, table.guard, table.fault, table.acceptance)
     points, spec, omega_b = family_plants(table, cache), table.spec(), table.grid.omega_b
     if start is not None:
         spec = replace(spec, start=start)
@@ -300,24 +313,13 @@ def run_design(
         "evaluations": made.evaluations,
     }
     guard = None if table.guard is None else table.guard.guard()
-    searched = scaled_inputs(made.system, table.gain_of)
-    system = searched if guard is None else with_input(searched, guard.follows)
+    system = scaled_inputs(made.system, table.gain_of)
+    system = system if guard is None else with_input(system, guard.follows)
     controller = Controller(table.name, system, table.limit_pu, facts, guard=guard)
     certificate = certify(table, controller, cache, progress=lambda _, share: progress(certifying, share, ""))
     progress(certifying, 1.0, "")
     starts = {f"start {k}": K for k, K in enumerate(made.tried, start=1)}
     return Designed(judged_by(table, controller, certificate), starts)
-
-
-def _check_followed(table: DesignTable) -> None:
-    """Refuse a guard that follows what is no output of the plant, before the search."""
-    follows = None if table.guard is None else table.guard.follows
-    shown = [each.variable.name for each in shown_of(table.grid) if each.variable.role == "output"]
-    if follows is not None and follows not in shown:
-        raise ScenarioError(
-            f"design {table.name}: guard.follows = {follows!r} is no output of the plant of "
-            f"{table.case}; {nearest(follows, shown)}"
-        )
 
 
 def design_record(table: DesignTable) -> dict[str, Any]:
@@ -380,6 +382,9 @@ def certify(
     progress : called with one of `steps_of` and the share of it that is done.
     """
     linear, faults, accepting = CERTIFICATE_STEPS
+    require_in_grid(
+        table.name, table.grid, table.guard, table.fault, table.acceptance if acceptance else None
+    )
     certificate = judge(table, controller.system, cache, progress=lambda share: progress(linear, share))
     certificate = with_margins(certificate, table, controller.system, cache)
     if acceptance and table.acceptance is not None:

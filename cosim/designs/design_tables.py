@@ -31,6 +31,13 @@ def _rising(nodes: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float]
 Offsets = Annotated[tuple[tuple[float, float], ...], AfterValidator(_rising)]
 
 
+def _identifier(name: str) -> str:
+    if not name.isidentifier():
+        raise ValueError(f"is {name!r}, allowed: letters, digits and _")
+    return name
+
+
+Identifier = Annotated[str, AfterValidator(_identifier)]
 Ratio = Annotated[float, Field(ge=-1.0, lt=1.0)]
 
 
@@ -106,7 +113,7 @@ class PartTable(Table):
 class MemberTable(Table):
     """A controller of a bank for a subset of signals; points, limits, search as in the design."""
 
-    name: str  #: of the member: letters, digits and _
+    name: Identifier  #: of the member: letters, digits and _
     #: it acts if these arrive, and not all of those of a member before it
     signals: tuple[str, ...] = Field(min_length=1)
     #: as in the design, for its own signals
@@ -209,6 +216,12 @@ def require_points(key: str, names: Sequence[str], points: Sequence[str]) -> Non
         raise ValueError(f"{key} has {unknown}; the design's are {', '.join(points)}")
 
 
+def require_distinct(key: str, names: Sequence[str]) -> None:
+    """Raise ValueError where a name is there twice."""
+    if twice := sorted({name for name in names if names.count(name) > 1}):
+        raise ValueError(f"{key}: has {twice} twice, allowed: each name once")
+
+
 class FaultPlace(Table):
     """A three-phase fault at a bus, cleared by itself or by the trip of a branch."""
 
@@ -279,6 +292,19 @@ class AcceptanceTable(Table):
     def check(self, points: Sequence[str]) -> None:
         """Raise ValueError where `points` of the table names what is no operating point of the design."""
         require_points("acceptance.points", self.points, points)
+
+    def of(self, signals: Collection[str]) -> AcceptanceTable:
+        """Return it for a controller that sees these signals alone."""
+        kept = tuple(name for name in self.never_lost if name in signals)
+        return self.model_copy(update={"never_lost": kept})
+
+    def check_signals(self, signals: Sequence[str]) -> None:
+        """Raise ValueError where `never_lost` names what is no signal of the controller."""
+        if strange := sorted(set(self.never_lost) - set(signals)):
+            raise ValueError(
+                f"acceptance: never_lost names {', '.join(strange)}; the controller's signals are "
+                f"{', '.join(signals)}"
+            )
 
     def looked_at(self, cases: Mapping[str, Case]) -> dict[str, Case]:
         """Return the operating points of `cases` at which faults are tried."""

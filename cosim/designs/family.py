@@ -20,11 +20,15 @@ from interarea.design.modes.modes import Mode, ModeError, modes_of
 from interarea.design.reduction.gramians import ReductionError
 from interarea.design.reduction.low_rank import low_rank_reduction
 from interarea.design.robust.operating_points import FamilyCertificate, JudgedPlant
+from interarea.models.blocks.plant_shown import shown_of
 from interarea.models.case.case import Case
 from interarea.models.case.variants import operating_variant
+from interarea.models.errors import nearest
 
+from ..errors import ScenarioError
 from ..run.artefacts import linear_plant, sparse_linear_plant
-from .design_tables import PointTable
+from .design_tables import AcceptanceTable, GuardTable, PointTable
+from .first_swing import FaultTable
 
 #: states above which a condition is judged sooner on the sparse blocks: .3 s against 1 s with 148 states, and
 #: the dense time rises with the third power
@@ -118,6 +122,33 @@ def at_point(case: Case, point: PointTable) -> Case:
         load_scale=point.load_scale,
         vary=point.vary,
     )
+
+
+def require_in_grid(
+    name: str,
+    grid: Case,
+    guard: GuardTable | None,
+    fault: FaultTable | None,
+    acceptance: AcceptanceTable | None,
+) -> None:
+    """Raise ScenarioError for an output, bus or branch that a design names and its grid does not have."""
+    shown = [each.variable.name for each in shown_of(grid) if each.variable.role == "output"]
+    buses, branches = [bus.number for bus in grid.buses], [branch.name for branch in grid.branches]
+    rows: list[tuple[str, object, Sequence[object]]] = []
+    if guard is not None:
+        rows.append(("guard.follows: output", guard.follows, shown))
+    if fault is not None:
+        rows += [("fault.bus", fault.bus, buses), ("fault.branch", fault.branch, branches)]
+    for place in () if acceptance is None else acceptance.fault:
+        rows += [("acceptance.fault.bus", place.bus, buses), ("acceptance.fault.trip", place.trip, branches)]
+    unknown = [row for row in rows if row[1] is not None and row[1] not in row[2]]
+    if unknown:
+        raise ScenarioError(
+            *(
+                f"design {name}: {key} {what!r} is not in {grid.name}; {nearest(what, known)}"
+                for key, what, known in unknown
+            )
+        )
 
 
 def family_cases(table: Family) -> dict[str, Case]:

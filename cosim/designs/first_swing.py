@@ -16,7 +16,7 @@ from typing import Annotated, Any
 import control
 import numpy as np
 import numpy.typing as npt
-from pydantic import Field
+from pydantic import Field, model_validator
 from scipy.signal import lsim
 
 from interarea.design.controllers.controller import Controller
@@ -50,6 +50,17 @@ class FaultTable(Table):
     latency_s: Annotated[float, Field(ge=0.0)] = 0.1  #: of every signal
     stop_s: Positive = 13.0  #: end of the run
     settle_s: Positive = 10.0  #: latest settling time after the fault's start
+
+    @model_validator(mode="after")
+    def _in_order(self) -> FaultTable:
+        if not self.start_s < self.clear_s < self.stop_s:
+            raise ValueError(
+                f"start_s = {self.start_s:g}, clear_s = {self.clear_s:g}, stop_s = {self.stop_s:g}, allowed: "
+                "rising"
+            )
+        if not self.lost_s < self.stop_s:
+            raise ValueError(f"lost_s = {self.lost_s:g}, allowed: before stop_s = {self.stop_s:g}")
+        return self
 
 
 @dataclass(frozen=True)

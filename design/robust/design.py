@@ -18,6 +18,7 @@ import control
 import numpy as np
 from scipy.optimize import minimize
 
+from interarea.models.errors import UserError
 from interarea.models.threads import one_blas_thread
 
 from ..errors import InfeasibleDesign
@@ -216,15 +217,15 @@ def given_start(objective: Objective, spec: RobustSpec) -> Array:
 
     Raises
     ------
-    ValueError : it has other signals, actuators or another order than the design.
+    UserError : it has other signals, actuators or another order than the design.
     """
     K, n, m = spec.start, objective.order, len(spec.actuators)
     assert K is not None
     states = n + m * (spec.washout_s > 0.0)
     names = (tuple(K.input_labels), tuple(K.output_labels))
     if K.nstates != states or names != (spec.signals, spec.actuators):
-        raise ValueError(
-            f"robust design: the initial controller has {K.nstates} states, {', '.join(names[0])} "
+        raise UserError(
+            f"robust design: the controller to start from has {K.nstates} states, {', '.join(names[0])} "
             f"-> {', '.join(names[1])}; wanted {states}, {', '.join(spec.signals)} -> "
             f"{', '.join(spec.actuators)}"
         )

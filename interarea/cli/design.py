@@ -370,15 +370,7 @@ def _rival(table: DesignTable, controller: Controller, report: Callable[[str, fl
     """Design the own-signal rival of a controller that the design of `table` fits."""
     from interarea.cosim.designs.worth import design_rival
     from interarea.fmu_build.write.cache import default_cache
-    from interarea.models.errors import UserError
 
-    followed = {table.guard.follows} if table.guard is not None else set()
-    seen = set(controller.inputs) - (followed - set(table.signals))
-    if set(table.signals) != seen or set(table.actuators) != set(controller.outputs):
-        raise UserError(
-            f"--worth: {controller.name} sees {', '.join(controller.inputs)}, the design that judges it "
-            f"{', '.join(table.signals)}; give the design of the controller with --spec"
-        )
     name = "own-signal rival"
     rival = design_rival(
         table, controller, default_cache(), progress=lambda _, share, __: report(name, 0.99 * share)

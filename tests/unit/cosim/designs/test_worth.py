@@ -51,7 +51,7 @@ def test_a_rival_has_equal_order_effort_and_points(
     ("change", "said"),
     [
         (
-            {"local": "G3_dw"},
+            {"local": "G3_dw", "guard": None},
             "G4_vs has no signal of its own machine among G2_dw, G3_dw; add one of its own, such as G4_dw",
         ),
         (

@@ -19,6 +19,7 @@ from interarea.design.robust.design import design_robust
 from interarea.design.robust.spec import RobustSpec, require_moved
 from interarea.design.synthesis.check import modal_parts
 from interarea.design.synthesis.hinf import PoleRegion, conventional
+from interarea.models.errors import UserError
 
 SPEC = RobustSpec(("G2_dw", "G4_dw"), ("G4_vs",), (Condition("N"),), order=2, starts=1)
 TEMPLATES = Path(load_design.__code__.co_filename).parent
@@ -120,6 +121,17 @@ def test_contradictory_specifications(change: dict[str, Any], word: str) -> None
             'name = "base"\nmore = [[2.0, 0.1], [1.0, 0.1]]',
             r"point\.0\.more.* 1 rad/s after 2 rad/s, allowed: rising ones",
         ),
+        ('name = "base"', 'name = "tie +100"', r"point: has \['tie \+100'\] twice, allowed: each name once"),
+        ('remote = "G2_dw"', 'remote = "G4_dw"', r"remote, local: has \['G4_dw'\] twice"),
+        (
+            'name = "robust_linear"',
+            'name = "robust 2"',
+            "name: is 'robust 2', allowed: letters, digits and _",
+        ),
+        ("seed = ", "guard = {watched={G9_vs='G4_dw'},sides={G9_vs=1.0},threshold=0.2}\nseed = ", "G9_vs"),
+        ("bus = 8\n", "bus = 8\nclear_s = 0.5\n", "clear_s = 0.5, .*allowed: rising"),
+        ("bus = 8\n", "bus = 8\nlost_s = 20.0\n", "lost_s = 20, allowed: before stop_s = 13"),
+        ("seed = ", "acceptance = {fault=[{bus=8}],never_lost=['G9_dw']}\nseed = ", "never_lost names G9_dw"),
         ("seed = ", "offset = [[0.0, 0.1], [nan, 0.1]]\nseed = ", "finite"),
     ],
 )
@@ -136,7 +148,43 @@ def test_a_guard_that_follows_no_output_is_refused_before_the_search(tmp_path: P
     text = (TEMPLATES / "design_two_actuators.toml").read_text()
     path = tmp_path / "bad.toml"
     path.write_text(text.replace('follows = "tie_p"', 'follows = "tie_power"'), encoding="utf-8")
-    with pytest.raises(ScenarioError, match=r"guard\.follows = 'tie_power' is no output .*tie_p"):
+    with pytest.raises(ScenarioError, match=r"guard\.follows: output 'tie_power' is not in .*tie_p"):
+        run_design(load_design(path), cache)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "word"),
+    [
+        (
+            "seed = ",
+            "acceptance = {fault=[{bus=99}]}\nseed = ",
+            r"acceptance\.fault\.bus 99 is .*did you mean 9",
+        ),
+        (
+            "seed = ",
+            "acceptance = {fault=[{bus=8, trip='8-'}]}\nseed = ",
+            r"acceptance\.fault\.trip '8-' is not",
+        ),
+        ("bus = 8", "bus = 99", r"fault\.bus 99 is not in two-area-thesis"),
+    ],
+)
+def test_a_fault_where_the_grid_has_no_place_is_refused_before_the_search(
+    tmp_path: Path, cache: Path, old: str, new: str, word: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("interarea.cosim.designs.design_file.family_plants", lambda *_: pytest.fail("plants"))
+    text = (TEMPLATES / "design_robust_linear.toml").read_text()
+    path = tmp_path / "bad.toml"
+    path.write_text(text.replace(old, new, 1), encoding="utf-8")
+    with pytest.raises(ScenarioError, match=word):
+        run_design(load_design(path), cache)
+
+
+@pytest.mark.slow
+def test_a_controller_of_another_loop_to_start_from_is_refused(tmp_path: Path, cache: Path) -> None:
+    text = (TEMPLATES / "design_robust_linear.toml").read_text()
+    path = tmp_path / "bad.toml"
+    path.write_text(f"start_from = 'nets_nyps'\n{text}", encoding="utf-8")
+    with pytest.raises(UserError, match=r"to start from has 24 states, .*; wanted 6, G2_dw, G4_dw -> G4_vs"):
         run_design(load_design(path), cache)
 
 
