@@ -255,7 +255,7 @@ def sparse_plant(slopes: Slopes, data: Mapping[str, Any], at_bus: ComplexArray) 
     source = np.tile(own[:, None], 1 + len(others))
     for column, at in enumerate(others, start=1):
         source[len(bus) + ports[at, 1].astype(np.int64), column] = len(bus) + at
-    blocks = _device_blocks(slopes, place, local, source, acts_on >= K)
+    blocks = _device_blocks(slopes, place, local, source, acts_on // K)
     at_port = np.concatenate([bus, ports[:, 3].astype(np.int64)])  # of the ports of devices at buses
     bus = at_port[source]
     buses = _words(data["bus.names"])
@@ -294,7 +294,9 @@ class _Blocks:
     B: Matrix
     C: Matrix
     D: Matrix  # (sources, 2, 2)
-    moved: Matrix  # (2, n) dx/dt for 1 at every first input of a place, and at every second one
+    moved: (
+        Matrix  # (1 to 3, n) dx/dt for 1 at every first input of a place, every second one, every third one
+    )
 
 
 def _ports_of_devices(ports: Matrix) -> tuple[IntArray, list[IntArray]]:
@@ -318,12 +320,12 @@ def _device_blocks(
     place: IntArray,
     local: IntArray,
     source: IntArray,
-    second: npt.NDArray[np.bool_],
+    slot: IntArray,
 ) -> _Blocks:
     """One derivative for every place of all devices at once: what one does moves no other.
 
     source : (K, ends) the sources that are each device's currents, of a dc link two, of others one and in a
-    grid with links that once more. second : which inputs are the second of their place.
+    grid with links that once more. slot : which of its place each input is, from 0.
     """
     (K, m), n, sources, ends = place.shape, len(slopes.states), slopes.sources, source.shape[1]
     none_x, none_u, none_v = np.zeros(n), np.zeros(len(slopes.inputs)), np.zeros(sources, dtype=complex)
@@ -347,7 +349,8 @@ def _device_blocks(
             B[:, :, end, j] = np.where(there[:, end, None], dx, 0.0)
         current = slopes.slopes(none_x, none_u, np.full(sources, unit))[1]
         D[:, 0, j], D[:, 1, j] = current.real, current.imag
-    dx = np.array([slopes.slopes(none_x, np.where(on, 1.0, 0.0), none_v)[0] for on in (~second, second)])
+    which = range(int(slot.max(initial=0)) + 1)
+    dx = np.array([slopes.slopes(none_x, np.where(slot == k, 1.0, 0.0), none_v)[0] for k in which])
     for M in (A, B, C, D, dx):
         if not np.all(np.isfinite(M)):
             raise SparsePlantError("derivatives of the plant's devices at the equilibrium are not all finite")
@@ -359,12 +362,12 @@ def _device_blocks(
 def _input_matrix(acts_on: IntArray, K: int, of: IntArray, dx: Matrix) -> Any:
     """Columns (n, inputs) from what inputs of all places at once do: each acts on one of the K devices.
 
-    acts_on : place of each input, or K more where it is the second one there.
+    acts_on : place of each input, or K or 2 K more where it is the second or third one there.
     """
     Bu = sparse.lil_matrix((len(of), len(acts_on)))
-    for j, (second, at) in enumerate(zip(*divmod(acts_on, K), strict=True)):
-        rows = np.flatnonzero((of == at) & (dx[second] != 0.0))
-        Bu[rows, j] = dx[second, rows]
+    for j, (slot, at) in enumerate(zip(*divmod(acts_on, K), strict=True)):
+        rows = np.flatnonzero((of == at) & (dx[slot] != 0.0))
+        Bu[rows, j] = dx[slot, rows]
     return Bu.tocsc()
 
 

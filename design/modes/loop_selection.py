@@ -8,6 +8,7 @@ change of state coordinates can move; the geometric index is given beside it, in
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
@@ -25,6 +26,7 @@ from ..reduction.balanced import balanced_truncation
 from .modes import Mode, ModeError
 
 Matrix = NDArray[np.float64]
+_DRIVEN = re.compile(r"_vs$|_[vxpq]_mod(_from|_to)?$")
 
 
 @dataclass(frozen=True)
@@ -83,10 +85,10 @@ def difference_signals(areas: Mapping[str, int]) -> dict[str, dict[str, float]]:
 def actuators_of(inputs: Sequence[str]) -> list[str]:
     """Return the inputs of a plant that a controller may drive: exciters' and those of devices at buses.
 
-    >>> actuators_of(["G1_vs", "svc1_v_mod", "torque"])
-    ['G1_vs', 'svc1_v_mod']
+    >>> actuators_of(["G1_vs", "svc1_v_mod", "vsc1_q_mod_from", "torque"])
+    ['G1_vs', 'svc1_v_mod', 'vsc1_q_mod_from']
     """
-    return [name for name in inputs if name.endswith(("_vs", "_v_mod", "_x_mod", "_p_mod"))]
+    return [name for name in inputs if _DRIVEN.search(name)]
 
 
 def require_actuator(names: Sequence[str]) -> None:
@@ -95,7 +97,7 @@ def require_actuator(names: Sequence[str]) -> None:
         raise ModeError(
             "no machine has an exciter that takes a signal (an input *_vs) and no bus an SVC or STATCOM "
             "(*_v_mod), no line a series capacitor (*_x_mod), and there is no dc link or converter "
-            "(*_p_mod), so no loop can be closed; add an exciter that regulates to a machine"
+            "(*_p_mod, *_q_mod), so no loop can be closed; add an exciter that regulates to a machine"
         )
 
 
@@ -125,7 +127,7 @@ def rank_loops(
     mode : the mode to damp, of this very system.
     signals : signal name -> {plant output: weight}; default the speed differences between `areas`.
     areas : machine name -> area, needed when `signals` is not given.
-    actuators : plant inputs; default all ``*_vs``, ``*_v_mod``, ``*_x_mod`` and ``*_p_mod``.
+    actuators : plant inputs; default as `actuators_of`.
     own_machine : rank a difference only with actuators of its own machines, so that
         one of its two parts is local (as the wide-area schemes do).
     order : order of the balanced reduction in whose coordinates the geometric index is taken.

@@ -90,11 +90,14 @@ _ADDED_TO = {
     "x_mod": "the reactance",
     "p_mod": "the active power",
     "q_mod": "the reactive reference",
+    **{f"q_mod_{end}": f"the reactive power at {end}_bus" for end in ("from", "to")},
+    **{f"v_mod_{end}": f"the voltage set-point at {end}_bus" for end in ("from", "to")},
 }
 
 
 def input_variables(point: OperatingPoint) -> list[Variable]:
-    """Return the inputs, one for each exciter, SVC, STATCOM and dc link, two for each converter."""
+    """Return the inputs, one for each exciter, SVC, STATCOM and LCC link, two for each converter,
+    three for each VSC link."""
     return [
         Variable(
             named_input.name,

@@ -44,6 +44,8 @@ class Vsc(DcLink):
     from_loss_mw: NonNegative = 0.0  #: loss of the converter at `from_bus`
     to_loss_mw: NonNegative = 0.0  #: loss of the converter at `to_bus`
     p_mod_pu: Positive = 0.1  #: largest modulation of the power, either sign
+    q_mod_pu: Positive = 0.1  #: largest modulation of the reactive power of an end that keeps it, either sign
+    v_mod_pu: Positive = 0.1  #: largest modulation of the ac voltage of an end that keeps it, either sign
     t_voltage_s: NonNegative = 0.01  #: time constant of the ac voltage measurement
     #: time constant of current control
     t_current_s: Annotated[float, Field(strict=True, ge=0.001, le=1.0)] = 0.01
@@ -88,6 +90,8 @@ class Vsc(DcLink):
             "TV": self.t_voltage_s,
             "TI": self.t_current_s,
             "PMOD": self.p_mod_pu,
+            "QMOD": self.q_mod_pu,
+            "VMOD": self.v_mod_pu,
             "KPD": self.vdc_gain,
             "KID": self.vdc_integral,
             "KPV": self.v_gain,

@@ -10,6 +10,8 @@ import numpy.typing as npt
 
 from ..case.case import Case, CaseError
 from ..case.control_schema import Control, control_model, control_numbers
+from ..case.hvdc_schema import Hvdc
+from ..case.vsc_schema import Vsc
 from ..devices.c_expression import given_rows
 from ..devices.language.device import AT_BUS, KINDS, OF_CONVERTER, OF_LINK, OF_MACHINE, OF_SVC
 from ..devices.language.expression import Node
@@ -18,6 +20,7 @@ from ..devices.rest import BEYOND, RestPoint, rest_of
 from ..errors import DeviceError
 from .coupling import AtRest, Coupling, coupling_of, model_at_bus, output_and_given
 from .machine_tables import NETWORK, MachinePoint, State
+from .vsc_link import link_modulations
 
 SHORTEST_S = 1e-6  #: least value a time constant may be set to
 #: order of states, inputs and parameters
@@ -147,11 +150,11 @@ def modulation(key: str) -> str:
 
 @dataclass(frozen=True)
 class Given:
-    """An input of the plant: `word` of a row acts at `place`; as many more as there are: on the second input
-    of that place, the reactive reference."""
+    """An input of the plant: `word` of a row acts at `place`; as many more as there are once or twice: on the
+    second or third input of that place."""
 
     row: str  #: name of the machine, or of the device at a bus
-    word: str  #: vs, v_mod, x_mod, p_mod or q_mod
+    word: str  #: vs, v_mod, x_mod, p_mod or q_mod; of an end of a dc link with _from or _to
     place: int
 
     @property
@@ -183,7 +186,8 @@ class Controls:
             elif d.word in OF_CONVERTER:
                 result += [Given(d.prefix, "p_mod", d.place), Given(d.prefix, "q_mod", places + d.place)]
             elif d.word in OF_LINK:
-                result.append(Given(d.prefix, "p_mod", d.place))
+                words = link_modulations(d.rest.instance.values).values()
+                result += [Given(d.prefix, word, k * places + d.place) for k, word in enumerate(words)]
             elif d.word in AT_BUS:
                 result.append(Given(d.prefix, modulation(d.key), d.place))
         return tuple(result)
@@ -238,11 +242,7 @@ def controls_at_rest(
         | {key: frozenset({f"{c.name}_{key}"}) for key in ("p_mod", "q_mod")}
         for c in case.converters
     ]
-    inputs += [
-        dict.fromkeys(("vdr", "vdi", "v1", "p1", "v2", "p2"), network)
-        | {"p_mod": frozenset({f"{row.name}_p_mod"})}
-        for row in case.links
-    ]
+    inputs += [_link_reach(row) for row in case.links]
     for k, word, rest in starts:
         assert isinstance(rest, RestPoint)
         device = _device(row_name(case, k, word), k, word, rest, inputs[k])
@@ -365,6 +365,13 @@ def _reach(case: Case, k: int) -> dict[str, frozenset[str]]:
         "pm": frozenset(),
         **dict.fromkeys(("vt", "vd", "vq", "id", "iq", "pe", "vc"), network),
     }
+
+
+def _link_reach(row: Hvdc | Vsc) -> dict[str, frozenset[str]]:
+    """Which states and inputs each signal of a dc link depends on."""
+    words = link_modulations(row.control.parameters)
+    inputs = {key: frozenset({f"{row.name}_{word}"}) for key, word in words.items()}
+    return dict.fromkeys(("vdr", "vdi", "v1", "p1", "v2", "p2"), frozenset({NETWORK})) | inputs
 
 
 def _device(prefix: str, k: int, word: str, rest: RestPoint, inputs: dict[str, frozenset[str]]) -> Device:

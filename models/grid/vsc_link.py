@@ -41,12 +41,24 @@ class VscPoint:
 
     def given(self, kind: str, share: float) -> dict[str, float]:
         """Return what the device sees, and its currents at rest."""
-        known = {"p_mod": 0.0}
+        known = {"p_mod": 0.0, "q_mod1": 0.0, "q_mod2": 0.0}
         for k, (u, s, names) in enumerate(zip(self.voltages, self.power, _CURRENTS, strict=True), start=1):
             known |= {f"v{k}": u, f"p{k}": s.real}
             known |= dict(zip(names, (s.real / u, s.imag / u), strict=True))
         del known["ip1"]  # its output
         return known
+
+
+def link_modulations(values: Mapping[str, float | str]) -> dict[str, str]:
+    """Return what modulates a dc link of either kind: signal of its device -> word of the input.
+
+    values : parameters of its device. At an end of a VSC link the input is of what the end keeps.
+    """
+    words = {"p_mod": "p_mod"}
+    for k, end in enumerate(("from", "to"), start=1):
+        if f"KEEPV{k}" in values:
+            words[f"q_mod{k}"] = f"{'v' if values[f'KEEPV{k}'] == 1.0 else 'q'}_mod_{end}"
+    return words
 
 
 def vsc_point(row: Vsc, u_from: float, u_to: float) -> VscPoint:

@@ -121,6 +121,8 @@ KINDS: dict[str, Kind] = {
             "v2": "voltage of the bus of its second end, pu",
             "p2": "active power into the network there, pu of its base",
             "p_mod": "modulation of the power from the first end to the second, pu of its base",
+            "q_mod1": "modulation of the reactive power of the first end, or of the voltage it keeps, pu",
+            "q_mod2": "the same of the second end",
         },
         "ip1",
         ("pset",),

@@ -36,6 +36,7 @@ typedef struct {
     const cell *v1, *p1, *v2, *p2; /* of a link of converters: in the arrays of vt, pe, vd, vq */
     const cell *ir, *ii;   /* of a source: in the arrays of id, iq                            */
     const cell *vreg, *vdrop, *pbr, *qbr; /* of a plant control: in the arrays of efd, pm, id, iq */
+    const cell *q_mod1, *q_mod2; /* of a link of converters: in the arrays of vc, vm          */
 } DeviceSignals;
 
 /* Limiters, gates and other slope discontinuities decide by comparing signals: decision i of a device is bit i of

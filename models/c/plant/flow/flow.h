@@ -14,10 +14,11 @@
 #include "tiles.h"
 
 /* Work arrays, one entry per place: machines, then devices at buses; e: machines and ports; v: two per row of a sparse network. id_rotor is what the
- * rotor circuits see: id, or id + isd. lanes: how many neighbours go at a time (tiles.h). */
+ * rotor circuits see: id, or id + isd. lanes: how many neighbours go at a time (tiles.h).
+ * vs, vc, vm: what the inputs of each place add to, one behind the other. */
 typedef struct {
-    num *sine, *cosine, *i_re, *i_im, *id, *iq, *vd, *vq, *vt, *vs, *efd, *pm, *id_rotor;
-    num *vc, *pe, *ifd, *saturation_d, *saturation_q, *centre, *turn, *out;
+    num *sine, *cosine, *i_re, *i_im, *id, *iq, *vd, *vq, *vt, *vs, *vc, *vm, *efd, *pm, *id_rotor;
+    num *pe, *ifd, *saturation_d, *saturation_q, *centre, *turn, *out;
     num *e_re, *e_im, *v;
     PortWork port;
     num *newton;
@@ -31,12 +32,12 @@ typedef struct {
 static Work work_arrays(num *scratch, const Plan *plan, size_t lanes)
 {
     const size_t n = plan->n_place;
-    num *e = scratch + 21 * n, *v = e + 2 * plan->n_source, *port = v + 2 * plan->n_node;
+    num *e = scratch + 22 * n, *v = e + 2 * plan->n_source, *port = v + 2 * plan->n_node;
     Work w = { scratch, scratch + n, scratch + 2 * n, scratch + 3 * n, scratch + 4 * n,
                scratch + 5 * n, scratch + 6 * n, scratch + 7 * n, scratch + 8 * n,
                scratch + 9 * n, scratch + 10 * n, scratch + 11 * n, scratch + 12 * n,
                scratch + 13 * n, scratch + 14 * n, scratch + 15 * n, scratch + 16 * n, scratch + 17 * n, scratch + 18 * n,
-               scratch + 19 * n, scratch + 20 * n,
+               scratch + 19 * n, scratch + 20 * n, scratch + 21 * n,
                .e_re = e, .e_im = e + plan->n_source, .v = v, .lanes = lanes };
     w.port = port_arrays(port, plan->n_port);
     w.newton = port + PORT_ARRAYS * plan->n_port;
@@ -288,7 +289,7 @@ static void solve_devices(const real *memory, const Plan *plan, const num *x, co
     const DeviceSignals signals = { w->vt, w->vd, w->vq, w->id, w->iq, w->pe, machines.x.slip, w->ifd,
                                     memory + plan->pm_step, w->vc, w->vs, w->pm, w->efd, w->out, w->out, w->out, w->out,
                                     w->out, w->out, w->out, w->pe, w->ifd, w->vs, w->vc, w->vt, w->pe, w->vd, w->vq,
-                                    w->vt, w->pe, w->vd, w->vq, w->id, w->iq, w->efd, w->pm, w->id, w->iq };
+                                    w->vt, w->pe, w->vd, w->vq, w->id, w->iq, w->efd, w->pm, w->id, w->iq, w->vc, w->vm };
 
     for (size_t k = 0; k < n; ++k) {
         w->efd[k] = NUM(table[M_EFD0 * n + k]);
@@ -299,14 +300,10 @@ static void solve_devices(const real *memory, const Plan *plan, const num *x, co
     }
     EVERY_MACHINE(machine_field_currents, plan, w, &machines);
     run_groups(memory, plan, w, 0, plan->exciters, &signals, x, dx);
-    for (size_t k = n; k < plan->n_place; ++k) w->vs[k] = w->vc[k] = NUM(0.0);
+    for (size_t k = n; k < plan->n_place; ++k) w->vs[k] = w->vc[k] = w->vm[k] = NUM(0.0);
     for (size_t k = 0; k < n; ++k) w->vs[k] += w->out[k];   /* of the limiters */
     for (size_t k = 0; k < plan->n_place; ++k) w->vs[k] += memory[plan->vref_step + k];
-    for (size_t k = 0; k < plan->n_input; ++k) {
-        const size_t at = index_at(of, k);
-        if (at < plan->n_place) w->vs[at] += u[k];
-        else w->vc[at - plan->n_place] += u[k];
-    }
+    for (size_t k = 0; k < plan->n_input; ++k) w->vs[index_at(of, k)] += u[k];   /* and vc, vm behind it */
     run_groups(memory, plan, w, plan->exciters, plan->n_group, &signals, x, dx);
 }
 

@@ -108,6 +108,7 @@ enum {  /* the same rows at a machine's port */
     P_SLOPE,            /* incremental: Bsat psi_I there                */
     P_SALIENCY          /* 1/(Xd2 - Xl) - 1/(Xq2 - Xl)                  */
 };
+#define PLACE_INPUTS 3u   /* most inputs of a place: vs, vc, vm of flow.h */
 /* Of a place: 1 it runs, 0 it is tripped, between them a dc link that is blocked. */
 #define RUNNING_BLOCKED 0.25
 typedef enum { PORT_LOAD = 1, PORT_MACHINE, PORT_DEVICE, PORT_KINDS } PortKind;
@@ -183,7 +184,7 @@ typedef struct {
     size_t group;         /* G_ROWS for each group, in the order in which they run */
     size_t device_machine; /* n_device: places, group by group                     */
     size_t device_table;  /* n_table: tables, group by group                       */
-    size_t input_machine; /* n_input: the place an input acts on; n_place more: that on its reactive reference */
+    size_t input_machine; /* n_input: the place an input acts on; n_place more for each further input of a place */
     size_t tie;           /* T_ROWS x (n_tie + n_line): branches whose power is the output tie_p, then lines */
     size_t show;          /* ShowKind of n_y + n_w, then of which                  */
     size_t bus_part;      /* n_bus: first machine of the part of the network       */

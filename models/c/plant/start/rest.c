@@ -114,7 +114,7 @@ static void take_out(Alone *a, double *memory, const Plan *plan, const double *r
                                   rest + R_VT * n, rest + R_PE * n, rest + R_VD * n, rest + R_VQ * n,
                                   rest + R_VT * n, rest + R_PE * n, rest + R_VD * n, rest + R_VQ * n,
                                   rest + R_ID * n, rest + R_IQ * n, rest + R_EFD * n, rest + R_PM * n, rest + R_ID * n,
-                                  rest + R_IQ * n };
+                                  rest + R_IQ * n, rest + R_VC * n, rest + R_VC * n };
     double **const outputs[] = { &a->signals.pm, &a->signals.vc, &a->signals.vs, &a->signals.vl, &a->signals.efd,
                                 &a->signals.b, &a->signals.i, &a->signals.ip, &a->signals.idc, &a->signals.delta,
                                 &a->signals.ip1 };

@@ -269,7 +269,7 @@ BlockStatus plant_check(const Record *record, const BlockLayout *layout, const P
     (void)reals(&r, "state.rest", layout->n_x);
     (void)reals(&r, "port.rest", 2 * plan->n_port);
     check_groups(&r, layout, plan);
-    (void)integers(&r, "input.machine", plan->n_input, 2 * plan->n_place);
+    (void)integers(&r, "input.machine", plan->n_input, PLACE_INPUTS * plan->n_place);
     check_pattern(&r, plan, net->places);
     (void)integers(&r, "state.machine", layout->n_x, plan->n_place);
     (void)integers(&r, "tie.branch", plan->n_tie + plan->n_line, plan->n_branch);
@@ -329,7 +329,7 @@ static void read_tables(const Record *record, const Plan *plan, const Network *n
     machine_prepare(memory + plan->machine, n, plan->n_sixth);
     copy_integers(memory + plan->machine_bus, net->machine_bus, n);
     copy_reals(memory + plan->rest, reals(&r, "machine.rest", R_ROWS * plan->n_place), R_ROWS * plan->n_place);
-    copy_integers(memory + plan->input_machine, integers(&r, "input.machine", plan->n_input, 2 * plan->n_place), plan->n_input);
+    copy_integers(memory + plan->input_machine, integers(&r, "input.machine", plan->n_input, PLACE_INPUTS * plan->n_place), plan->n_input);
     read_groups(&r, plan, memory);
     copy_integers(memory + plan->state_machine, integers(&r, "state.machine", plan->n_state, plan->n_place), plan->n_state);
     copy_integers(memory + plan->show, integers(&r, "show.kind", plan->n_y + plan->n_w, SHOW_KINDS), plan->n_y + plan->n_w);

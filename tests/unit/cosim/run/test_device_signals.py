@@ -22,7 +22,7 @@ DOCUMENT: dict[str, Any] = {
     "connections": [["plant.branch[8-9 a].p", "flow", "controller.flow"]],
     "event": [{"kind": "bus_fault", "bus": 8, "start_s": FAULT_S, "end_s": CLEARED_S, "x_pu": 0.01}],
 }
-GAINS = {"svc1_v_mod": 1.0, "stat1_v_mod": -2.0, "tcsc1_x_mod": 0.5, "hvdc1_p_mod": 4.0}
+GAINS = {"svc1_v_mod": 1.0, "stat1_v_mod": -2.0, "tcsc1_x_mod": 0.5, "hvdc1_p_mod": 4.0, "vsc1_q_mod_to": 2.0}
 SIGNALS = ["flow", "f9"]
 
 
@@ -51,7 +51,7 @@ def test_remote_signals_move_every_kind_of_device() -> None:
         assert np.max(np.abs(moved[f"controller.{name}"] - gain * moved["controller.svc1_v_mod"])) < 1e-12
         caused = change(f"controller.{name}", calm)
         assert np.max(caused[after]) > 1e-3 > 1e6 * np.max(caused[before]), name
-    for name in ("svc1.q", "stat1.q", "tcsc1.i", "hvdc1.p_inverter"):
+    for name in ("svc1.q", "stat1.q", "tcsc1.i", "hvdc1.p_inverter", "vsc1.q_to"):
         assert np.max(change(f"plant.{name}", still)[after]) > 1e-3, name
     # at the end of the fault both shunt devices are at their limit: an SVC gives v^2, a STATCOM v
     last = np.searchsorted(t, CLEARED_S - 1e-9) - 1
@@ -61,7 +61,7 @@ def test_remote_signals_move_every_kind_of_device() -> None:
     assert np.asarray(moved["plant.svc1.q"])[last] == pytest.approx(v * v, abs=2e-2)
 
 
-@pytest.mark.parametrize("output", ["hvdc1_v_mod", "svc2_v_mod", "tcsc1_v_mod"])
+@pytest.mark.parametrize("output", ["hvdc1_v_mod", "svc2_v_mod", "tcsc1_v_mod", "vsc1_v_mod_to"])
 def test_a_modulation_that_no_device_has_is_refused_with_those_that_are_there(output: str) -> None:
     with pytest.raises(ia.UserError) as caught:
         ia.simulate(DOCUMENT, controller=washouts([output]))

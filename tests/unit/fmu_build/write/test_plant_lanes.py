@@ -167,7 +167,13 @@ def test_devices_at_buses_have_the_same_bits_in_lanes(cache: Path, tmp_path: Pat
     )
     rows = [event_parameters(case, events_of([fault, *lost[k % 3]], where="test")) for k in range(5)]
     plants = PlantLanes(case, cache, more=["svc1.*", "pv1.*", "gfm1*", "tcsc1.*", "hvdc1.*", "vsc1.*"])
-    alone = plants.run(rows, stop_s=0.6, lanes=1)
+    # every input of the link of converters, of two lanes
+    inputs = {(5, k, f"vsc1_{word}"): 0.03 for k in (0, 3) for word in ("p_mod", "q_mod_from", "v_mod_to")}
+    still = plants.run(rows, stop_s=0.6, lanes=1)
+    alone = plants.run(rows, stop_s=0.6, lanes=1, inputs=inputs)
+    for end in ("p_from", "q_from", "q_to"):
+        off = np.max(np.abs(alone.of(f"vsc1.{end}") - still.of(f"vsc1.{end}")), axis=0)
+        assert np.all((off > 1e-3) == [True, False, False, True, False])
     assert np.all(np.isfinite(alone.outputs)) and not any(alone.errors)
     assert np.all(alone.of("pv1.p")[-1, [1, 4]] == 0.0) and np.all(alone.of("pv1.p")[-1, [0, 2, 3]] > 0.5)
     assert alone.of("svc1.q")[-1, 2] == alone.of("gfm1.p")[-1, 2] == 0.0
@@ -178,7 +184,7 @@ def test_devices_at_buses_have_the_same_bits_in_lanes(cache: Path, tmp_path: Pat
     assert alone.of("vsc1.p_to")[-1, 2] == 0.0 and np.all(alone.of("vsc1.p_to")[-1, [0, 1, 3, 4]] > 0.3)
     for lanes in (2, 4, 8):
         if lanes <= plants.group.lanes:
-            beside = plants.run(rows, stop_s=0.6, lanes=lanes)
+            beside = plants.run(rows, stop_s=0.6, lanes=lanes, inputs=inputs)
             np.testing.assert_array_equal(beside.outputs, alone.outputs)
 
 

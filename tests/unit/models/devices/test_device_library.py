@@ -22,6 +22,7 @@ PLANT = Path(__import__("interarea.models").models.__file__).parent / "c" / "pla
 #: one operating point of a machine; the phasors fit vt, and pe = vd id + vq iq
 SEEN = {"vt": 1.0, "vd": 0.6, "vq": 0.8, "id": 0.7, "iq": 0.5, "pe": 0.82, "slip": 0.0, "ifd": 1.9}
 SEEN |= {"vc": 1.0, "vs": 0.0, "pm": 0.82, "p": 0.4, "q": 0.1, "p_mod": 0.0, "q_mod": 0.0}
+SEEN |= {"q_mod1": 0.0, "q_mod2": 0.0}
 SEEN |= {
     "vdr": 1.04,
     "vdi": 1.0,
@@ -283,7 +284,7 @@ double hold(size_t device, size_t n, uint64_t has, double *table, const double *
 MEMBERS = (
     *("vt", "vd", "vq", "id", "iq", "pe", "slip", "ifd", "pref_step", "vc", "vs", "pm", "efd", "vl"),
     *("b", "i", "ip", "idc", "delta", "ip1", "p", "q", "p_mod", "q_mod", "vdr", "vdi"),
-    *("vr", "vi", "v1", "p1", "v2", "p2", "ir", "ii", "vreg", "vdrop", "pbr", "qbr"),
+    *("vr", "vi", "v1", "p1", "v2", "p2", "ir", "ii", "vreg", "vdrop", "pbr", "qbr", "q_mod1", "q_mod2"),
 )
 
 

@@ -101,8 +101,9 @@ def test_it_rests_and_the_derivatives_are_those_of_differences(network, base, ro
     assert np.max(np.abs(rates[own])) < 1e-12
     assert np.max(np.abs(rates)) < 5e-11  # of the machines: 1.5e-11 without any device
     rates_off, outputs_off = plant.directional_errors(1e-3, 1e-4)
-    assert rates_off < 1e-9
-    assert outputs_off < 1e-9
+    most = 1e-9 if network == "dense" else 1e-8  # sparse ports are solved to 1e-12 of their voltages
+    assert rates_off < most
+    assert outputs_off < most
 
 
 @pytest.mark.slow
@@ -125,7 +126,15 @@ def test_the_sparse_blocks_have_its_state_matrix(base):
     change = {"vscs": rows, "hvdcs": {"hvdc1": lcc}, "svcs": svc}
     case = in_plant_order(load_case(base).with_changes(change))
     blocks, _, _ = agreeing_blocks(case)
-    assert blocks.inputs[-3:] == ("hvdc1_p_mod", "vsc1_p_mod", "vsc2_p_mod")
+    links = (
+        "vsc1_p_mod",
+        "vsc1_q_mod_from",
+        "vsc1_q_mod_to",
+        "vsc2_p_mod",
+        "vsc2_v_mod_from",
+        "vsc2_v_mod_to",
+    )
+    assert blocks.inputs[-7:] == ("hvdc1_p_mod", *links)
 
 
 def test_without_power_the_dc_side_has_the_closed_form_and_the_grid_its_own_modes():
