@@ -98,7 +98,7 @@ CHANNEL = (
 )
 METHODS = {
     "Result": "data units to_frame save explain trajectory ledger packets explanation",
-    "Run": "damping_ratio settling_time_s plot stable summary metrics scenario case",
+    "Run": "damping_ratio settling_time_s plot stable summary unmet metrics scenario case",
     "SwingModes": "inter_area to_frame plot",
     "RankedLoops": "selected to_frame plot",
     "Comparison": "runs roots worth to_frame plot save as_dict",

@@ -151,6 +151,33 @@ class Run(Result):
         """Whether no two machines or voltage sources of an island came half a turn apart."""
         return self.verdict.synchronous
 
+    @property
+    def unmet(self) -> tuple[str, ...]:
+        """What `[expect]` of the scenario states and the run did not do, a sentence each."""
+        expect, m = self.scenario.expect, self.metrics
+        ratios = {LEAST: m.least_damping_ratio, **m.damping_ratio}
+        limits = {
+            f"damping_ratio of {mode}": (row, ratios.get(mode)) for mode, row in expect.damping_ratio.items()
+        }
+        limits |= {
+            name: (row, getattr(m, name))
+            for name in ("settling_time_s", "peak_pu")
+            if (row := getattr(expect, name)) is not None
+        }
+        stated = {
+            "stable": (expect.stable, self.stable),
+            "synchronism": (expect.synchronism, self.synchronous),
+            "verdict": (expect.verdict, self.verdict.name),
+        }
+        return (
+            *(f"{k} is {is_}, expected {e}" for k, (e, is_) in stated.items() if e is not None and e != is_),
+            *(
+                f"{k} is {'none' if is_ is None else f'{is_:.4g}'}, expected from {low:g} to {high:g}"
+                for k, ((low, high), is_) in limits.items()
+                if is_ is None or not low <= is_ <= high
+            ),
+        )
+
     def damping_ratio(
         self, mode: str = "inter-area", *, start_s: float | None = None, stop_s: float | None = None
     ) -> float:

@@ -102,10 +102,12 @@ def no_controller(name: str) -> str:
 
 
 def two_machines(names: Sequence[str], machines: Sequence[str]) -> tuple[str, str]:
-    """Return the two of `swing`; ScenarioError where one is none of the `machines`."""
+    """Return the two of `swing`; ScenarioError where one is none of the `machines`, or both are one."""
     for name in names:
         if name not in machines:
             raise ScenarioError(f"swing: machine {name!r} does not exist; {nearest(name, machines)}")
+    if names[0] == names[1]:
+        raise ScenarioError(f"swing: has {names[0]!r} twice, allowed: two machines")
     return names[0], names[1]
 
 

@@ -67,6 +67,7 @@ def run(
 ) -> None:
     """Co-simulate one scenario; writes trajectory, ledgers, metrics and a plot.
 
+    The exit code is 1 if the run is not as [expect] of the scenario states; each difference is printed.
     An SSP archive of any tool runs unchanged: start values, nested systems, third-party FMUs in a process
     each. Without --out it prints the delay and packet ledgers and one line of results, and writes nothing.
     With --self-test and no --out it runs the self-test only. --record, --every and --strict override the keys
@@ -87,7 +88,7 @@ def run(
     provided = {"record": tuple(record) if record else None, "every": every, "strict": strict}
     loaded = load_scenario(scenario).model_copy(update={k: v for k, v in provided.items() if v is not None})
     refuse_wrong_names(loaded)
-    tested = None
+    tested, met = None, True
     if self_test:
         with busy(f"measuring the connections of {scenario}"):
             tested = _tested(loaded)
@@ -102,10 +103,10 @@ def run(
         files += pages
         if explain:
             typer.echo(result.explain())
-        _tell(loaded, result, files, json_)
+        met = _tell(loaded, result, files, json_)
     elif not self_test:
-        _shown(loaded, explain=explain, json_=json_)
-    if tested is not None and not tested.passed:
+        met = _shown(loaded, explain=explain, json_=json_)
+    if not met or (tested is not None and not tested.passed):
         raise typer.Exit(1)
 
 
@@ -116,14 +117,15 @@ def _refuse_unused(options: Mapping[str, object]) -> None:
             raise UsageMistake(f"run: {option} needs a folder for the results, wanted: --out DIR")
 
 
-def _shown(scenario: Scenario, *, explain: bool, json_: bool) -> None:
-    """Run a scenario and print what it gives, with its ledgers; nothing is written."""
+def _shown(scenario: Scenario, *, explain: bool, json_: bool) -> bool:
+    """Run a scenario and print what it gives, with its ledgers; return whether it is what is expected."""
     stage = f"running {scenario.name}"
     with stage_progress((stage,)) as report:
         result = _run(scenario, partial(report, stage))
     (note if json_ else typer.echo)(result.explain() if explain else f"{result.ledger}\n\n{result.packets}")
-    _tell(scenario, result, [], json_)
+    met = _tell(scenario, result, [], json_)
     note("no files written; --out DIR writes trajectory, metrics, ledger and a page")
+    return met
 
 
 def _run(scenario: Scenario, tell: Callable[[float], object]) -> Result:
@@ -178,8 +180,11 @@ def _explored(scenario: Scenario, page: Path) -> Path:
     return write_explorer(scenario, page, cache=default_cache())
 
 
-def _tell(scenario: Scenario, result: Result, files: list[Path], json_: bool) -> None:
-    """Print what a run has written, as JSON its metrics in their place, its warnings and what it shows."""
+def _tell(scenario: Scenario, result: Result, files: list[Path], json_: bool) -> bool:
+    """Print what a run has written, as JSON its metrics in their place, its warnings and what it shows.
+
+    Return whether it did what the scenario expects.
+    """
     from interarea.cosim.results.run import Run
 
     for file in files:
@@ -192,6 +197,10 @@ def _tell(scenario: Scenario, result: Result, files: list[Path], json_: bool) ->
         note(result.summary)
         if scenario.controller != "none":
             typer.echo(_survived(scenario, scenario.as_given(result.case)), err=True)
+    unmet = result.unmet if isinstance(result, Run) else ()
+    for line in unmet:
+        typer.echo(f"not as expected: {line}", err=True)
+    return not unmet
 
 
 def _not_built_here(scenario: Path) -> list[str]:

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import pytest
 from scenario_loop import Loop
+from typer.testing import CliRunner
 
+from interarea.cli.app import app
+from interarea.cosim.errors import ScenarioError
+from interarea.cosim.run.names import refuse_wrong_names
 from interarea.cosim.scenario.scenario import load_scenario
 from interarea.models.bundled import bundled
 
@@ -21,22 +26,39 @@ def _case(name: str) -> Any:
 @pytest.mark.parametrize("name", [_case(n) for n in bundled("scenario")])
 def test_the_outcome_is_the_stated_one(name: str, scenario: Any) -> None:
     run = scenario(name)
-    expect = run.scenario.expect
     assert run.scenario.title and run.scenario.source
-    if expect.stable is not None:
-        assert run.stable is expect.stable, run.verdict
-    if expect.synchronism is not None:
-        assert run.synchronous is expect.synchronism, run.verdict
-    if expect.verdict is not None:
-        assert run.verdict.name == expect.verdict, run.verdict
-    for mode, (least, most) in expect.damping_ratio.items():
-        assert least <= run.damping_ratio(mode) <= most
-    if expect.settling_time_s is not None:
-        settled = run.settling_time_s()
-        assert settled is not None
-        assert expect.settling_time_s[0] <= settled <= expect.settling_time_s[1]
-    if expect.peak_pu is not None:
-        assert expect.peak_pu[0] <= run.metrics.peak_pu <= expect.peak_pu[1]
+    assert run.scenario.expect.model_fields_set
+    assert not run.unmet
+
+
+def test_what_is_expected_and_is_not_is_said(scenario: Any) -> None:
+    stated = scenario("ring-down").scenario.model_dump(mode="json", exclude_unset=True)
+    expected = {"stable": False, "synchronism": False, "verdict": "growing", "settling_time_s": [0.0, 1e-3]}
+    damping = {"inter-area": [0.5, 0.6], "least": [0.5, 0.6], "no mode": [0.0, 1.0]}
+    run = scenario(stated | {"expect": {**expected, "peak_pu": [1.0, 2.0], "damping_ratio": damping}})
+    assert [line.split(" is ")[0] for line in run.unmet] == [
+        *("stable", "synchronism", "verdict"),
+        *(f"damping_ratio of {mode}" for mode in damping),
+        *("settling_time_s", "peak_pu"),
+    ]
+    assert "damping_ratio of no mode is none, expected from 0 to 1" in run.unmet
+
+
+def test_a_run_that_is_not_as_expected_ends_with_1(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    text = 'case = "two-area-thesis"\nstop_s = 1.0\n[expect]\nstable = {}\n'
+    for stable, code in (("true", 0), ("false", 1)):
+        Path("s.toml").write_text(text.format(stable))
+        said = CliRunner().invoke(app, ["run", "s.toml"])
+        assert said.exit_code == code
+        assert ("not as expected: stable is True, expected False" in said.stderr) is bool(code)
+
+
+def test_limits_that_fall_are_refused() -> None:
+    with pytest.raises(ScenarioError, match=r"peak_pu.*has \[2, 1\], allowed: \[least, most\]"):
+        load_scenario({"case": "two-area-thesis", "stop_s": 1.0, "expect": {"peak_pu": [2.0, 1.0]}})
+    with pytest.raises(ScenarioError, match="swing: has 'G2' twice, allowed: two machines"):
+        refuse_wrong_names(load_scenario({"case": "two-area-thesis", "stop_s": 1.0, "swing": ["G2", "G2"]}))
 
 
 @pytest.mark.parametrize("name", [_case(n) for n in bundled("scenario")])
