@@ -72,7 +72,7 @@ def run_joint(
         ledger=ledger,
         packets=packet_ledger(trajectory, Accumulators.of(trajectory, loaded.lines)),
         explanation=f"step {1e3 * members.step_s:g} ms, {_HOW}\n{ledger}",
-        warnings=tuple(system.warnings),
+        warnings=(*system.warnings, *judge.commutations.warnings),
         scenario=loaded,
         case=case,
         swing=system.swing,

@@ -16,7 +16,7 @@ from interarea.models.case.events import instants
 from ..scenario.scenario import Scenario
 from ..trajectory import Trajectory
 from . import metrics as m
-from .accumulators import Accumulators, Curves, Settling, Squares
+from .accumulators import Accumulators, Commutations, Curves, Settling, Squares
 from .largest_deviation import judged_of, parts_of
 from .ringdown import (
     Swing,
@@ -64,12 +64,19 @@ class Judge:
         self._effort: dict[str, Squares] = {}
         self._motion = motion_of(case, scenario, stop_s)
         self._last: dict[str, Array] = {}
+        self.commutations = Commutations(case)  #: of its line-commutated dc links
+
+    @staticmethod
+    def reads(case: Case) -> tuple[str, ...]:
+        """Return the outputs of a plant that are judged beside those that it shows by itself."""
+        return tuple(f"bus{row.inverter_bus}.v" for row in case.hvdcs)
 
     def add(self, part: Trajectory) -> None:
         """Take the points of a part."""
         time = self._joined("time", part.time_s)
         signal = self._joined("swing", self.swing.of(part))
         self._settling.add(time, signal)
+        self.commutations.add(part)
         if "energy" in self.wanted:
             self._energy.add(time, signal)
         controls = {name: self._joined(name, part[name]) for name in part.reals_of("controller")}
@@ -212,6 +219,12 @@ class Gathered:
         self.accumulators.add(part)
         if self.judge is not None:
             self.judge.add(part)
+
+    @property
+    def warnings(self) -> list[str]:
+        """A line on each signal that is not finite, and on each dc link that fails to commutate."""
+        links = [] if self.judge is None else self.judge.commutations.warnings
+        return [*self.accumulators.warnings, *links]
 
     def _needed(self, judge: Judge, part: Trajectory) -> list[str]:
         """Columns that the figure draws, and what channels count."""

@@ -38,6 +38,6 @@ def fields_of_result(
         "ledger": ledger,
         "packets": packet_ledger(trajectory, accumulators),
         "explanation": explain(master, ledger),
-        "warnings": (*warnings, *accumulators.warnings, *of_fmus, *ended),
+        "warnings": (*warnings, *of_fmus, *ended),
         "fmu_log": tuple(line for log in master.fmu_logs for line in log.as_text()),
     }

@@ -125,7 +125,7 @@ class System:
         CaseError, ScenarioError
         """
         loaded = case if isinstance(case, Case) else load_case(case)
-        self.plants[name], self.shows[name] = loaded, tuple(show)
+        self.plants[name], self.shows[name] = loaded, (*show, *Judge.reads(loaded))
         return self.put(Instance(name, self.fmus.plant(loaded, self._slots(name), self.shows[name])))
 
     def controller(self, controller: ControllerLike, name: str = CONTROLLER, trust: bool = False) -> System:
@@ -407,7 +407,7 @@ class System:
             pmus=self.pmus,
             channels=self.channels,
             rounded=self.rounded,
-            warnings=self.warnings,
+            warnings=(*self.warnings, *gathered.warnings),
             failed=failed,
         ) | {"scenario": self.scenario}
         if (judge := gathered.judge) is None or failed is not None:
