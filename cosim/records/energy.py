@@ -12,12 +12,14 @@ strong it is the checks tell: the ends of a line agree, one terminal stands out,
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from scipy.ndimage import median_filter
 from scipy.signal import butter, sosfiltfilt
 
@@ -234,6 +236,7 @@ def terminals_of(record: Record, at: Mapping[str, str] | None = None) -> tuple[l
 
     at : terminal -> the terminal that has its voltage and angle, as ``branch[7-8]`` -> ``bus7``.
 
+    Only powers of one unit can be compared: that of most machines, without machines that of most terminals.
     A terminal needs P (or V, I and both angles) and an angle (or a speed or frequency, whose integral is
     taken). Power counts out of the bus, that of a machine, which has a speed, into it.
     Phasors in kV from phase to ground and A give three phases.
@@ -250,23 +253,30 @@ def terminals_of(record: Record, at: Mapping[str, str] | None = None) -> tuple[l
             f"{record.source}: no terminal has power and angle, wanted at each: V, I and their angles, "
             "or P, Q, V and an angle"
         )
-    return terminals, notes
+    return _of_one_unit(terminals, notes), notes
+
+
+def _of_one_unit(terminals: Sequence[Terminal], notes: list[str]) -> list[Terminal]:
+    """Return the terminals whose powers can be compared; add a note on the others."""
+    units = Counter(t.unit for t in terminals if t.machine) or Counter(t.unit for t in terminals)
+    unit = units.most_common(1)[0][0]
+    other = [t for t in terminals if t.unit != unit]
+    if other:
+        names = ", ".join(t.name for t in other[:4]) + (f" and {len(other) - 4} more" if other[4:] else "")
+        notes.append(f"{names}: power in {other[0].unit}, not in {unit} as elsewhere: left out")
+    return [t for t in terminals if t.unit == unit]
 
 
 def _terminal(record: Record, name: str, place: str) -> tuple[Terminal | None, str]:
     """Return a terminal, or None and what it lacks ("" where it has no power at all)."""
     voltage, angle = record.of(place, "voltage"), record.of(place, "voltage angle")
-    current, turned = record.of(name, "current"), record.of(name, "current angle")
     P, Q = record.of(name, "active power"), record.of(name, "reactive power")
     unit = _unit_of(record, name, "active power")
     if P is None:
-        if current is None:
-            return None, ""
-        if voltage is None or angle is None or turned is None:
-            return None, "voltage with its angle" if turned is not None else "angle of the current"
-        both = _unit_of(record, place, "voltage") == "kV"
-        S = voltage * current * np.exp(1j * (angle - turned)) * (_PHASES * 1e-3 if both else 1.0)
-        P, Q, unit = np.asarray(S.real), np.asarray(S.imag), "MW" if both else "pu"
+        S, unit, missing = _of_phasors(record, name, place)
+        if S is None:
+            return None, missing
+        P, Q = np.asarray(S.real), np.asarray(S.imag)
     machine = bool(record.terminals[name].keys() & _ROTATING)
     if machine:  # its power counts into the bus
         P, Q = -P, None if Q is None else -Q
@@ -277,6 +287,21 @@ def _terminal(record: Record, name: str, place: str) -> tuple[Terminal | None, s
     if angle is None:
         return None, "angle, frequency or speed"
     return Terminal(name, P, Q, np.log(voltage), angle, unit, machine), ""
+
+
+def _of_phasors(record: Record, name: str, place: str) -> tuple[npt.NDArray[np.complex128] | None, str, str]:
+    """Return P + jQ of the phasors at a terminal, its unit, and what is missing; as `_terminal`."""
+    voltage, angle = record.of(place, "voltage"), record.of(place, "voltage angle")
+    current, turned = record.of(name, "current"), record.of(name, "current angle")
+    if current is None:
+        return None, "", ""
+    if voltage is None or angle is None or turned is None:
+        return None, "", "voltage with its angle" if turned is not None else "angle of the current"
+    both = _unit_of(record, place, "voltage") == "kV"
+    if both != (_unit_of(record, name, "current") == "A"):
+        return None, "", "voltage and current that are both pu, or kV and A"
+    S = voltage * current * np.exp(1j * (angle - turned)) * (_PHASES * 1e-3 if both else 1.0)
+    return S, "MW" if both else "pu", ""
 
 
 def _unit_of(record: Record, terminal: str, quantity: str) -> str:

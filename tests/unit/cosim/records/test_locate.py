@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -60,6 +61,22 @@ def test_the_terminal_where_energy_comes_in_is_named_and_the_ends_of_a_line_agre
     ((a, b, apart),) = result.lines
     assert {a, b} == {"Sub:1:Ln:1-2", "Sub:2:Ln:1-2"}
     assert apart < 0.01
+
+
+def test_powers_of_another_unit_are_not_compared() -> None:
+    """In pu of 100 MVA the largest inflow would be the least of all."""
+    MW = phasors(ENDS)
+    channels, values = list(MW.channels), MW.values.copy()
+    for k, channel in enumerate(channels):
+        if channel.terminal == "Sub:1:Ln:1-2" and channel.quantity in ("voltage", "current"):
+            channels[k] = replace(channel, unit="pu")
+            values[:, k] /= 200.0 if channel.quantity == "voltage" else 100e3 / 3.0 / 200.0
+    result = located(Record("pmu.csv", TIME, values, tuple(channels)))
+    assert {flow.terminal for flow in result.flows} == set(ENDS) - {"Sub:1:Ln:1-2"}
+    assert "Sub:1:Ln:1-2: power in pu, not in MW as elsewhere: left out" in result.notes
+    mixed = [replace(c, unit="pu") if c.quantity == "voltage" else c for c in MW.channels]
+    with pytest.raises(RecordError, match="no terminal has power and angle"):
+        located(Record("pmu.csv", TIME, values, tuple(mixed)))
 
 
 def test_no_source_is_named_where_the_checks_fail() -> None:
