@@ -104,16 +104,12 @@ def solve_stored(grid: StaticGrid, slacks: Sequence[StaticBus], report: Report) 
     if _hold_set_points(grid, arrays, report):
         holding = _set_converters(grid, of_converters, report)
         is_held[[arrays.at[load.bus] for load in holding]] = True
-        free_magnitude = np.flatnonzero(~is_held)
         arrays = _Arrays(grid)
     report.lines.append(_verdict(stored_mva, stored_bus, grid))
     if stored_mva > _limits_mva(grid)[1]:
         where = grid.buses[stored_bus].where
         report.assume("the stored voltages are not a solution; the power flow is solved again", where)
-    V = _newton(arrays, free_angle, free_magnitude, is_held)
-    if holding:
-        _balance(arrays, V, holding)
-        arrays = _Arrays(grid)
+    V, arrays = _solved(arrays, free_angle, is_held, holding, report)
     moved_pu = float(np.max(np.abs(np.abs(V) - np.abs(start))))
     moved_deg = float(np.max(np.abs(np.degrees(np.angle(V / start)))))
     report.lines.append(
@@ -129,6 +125,34 @@ def solve_stored(grid: StaticGrid, slacks: Sequence[StaticBus], report: Report) 
     return Solution(
         voltages, generation, tuple(bus.number for bus in slacks), stored_mva, stored_bus, moved_pu, moved_deg
     )
+
+
+def _solved(
+    arrays: _Arrays,
+    free_angle: npt.NDArray[np.int_],
+    held: npt.NDArray[np.bool_],
+    holding: Sequence[StaticLoad],
+    report: Report,
+) -> tuple[npt.NDArray[np.complex128], _Arrays]:
+    """Return the voltages, and the grid with the Q of the converters `holding` their bus.
+
+    One that would give more than its largest Q gives that, and `held` loses its bus.
+    """
+    while True:
+        V = _newton(arrays, free_angle, np.flatnonzero(~held), held)
+        if not holding:
+            return V, arrays
+        _balance(arrays, V, holding)
+        beyond = [load for load in holding if not abs(load.q) <= load.most_mvar]
+        for load in beyond:
+            load.q = float(np.copysign(load.most_mvar, load.q))
+            held[arrays.at[load.bus]] = False
+            report.assume("FACTS device gives its SHMX, with which it does not hold VSET", load.where)
+        arrays = _Arrays(arrays.grid)
+        if not beyond:
+            return V, arrays
+        left = {load.bus for load in beyond}
+        holding = [load for load in holding if load.bus not in left]
 
 
 def decide_units_at_load_buses(grid: StaticGrid, report: Report) -> None:

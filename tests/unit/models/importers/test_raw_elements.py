@@ -262,13 +262,28 @@ def test_a_vsc_line_loses_what_its_converters_and_its_resistance_do(tmp_path: Pa
 
 
 def test_free_reactive_power_is_what_the_stored_voltages_leave_over(tmp_path: Path) -> None:
-    """A shunt FACTS device at bus 3 gives exactly what makes the stored voltages a solution there in Q."""
-    facts = ["'SVC',3,0,1,0,0,1.0,50,0,0.9,1.1,1.0,0,0.05,100,1,0,0,0,3,''"]
+    """A shunt FACTS device without VSET gives what makes the stored voltages a solution at bus 3 in Q."""
+    facts = ["'SVC',3,0,1,0,0,0.0,50,0,0.9,1.1,1.0,0,0.05,100,1,0,0,0,3,''"]
     imported = of_text(tmp_path, raw_grid(33, extra={"FACTS": facts}))
     q = next(row for row in imported.case.loads if row.name.startswith("F")).Q_mvar
     v = 1.02
     line = v * v * (0.02 + 0.004 + 0.12 + 0.06) * 100.0  # charging, line shunt, fixed and switched shunt
     assert q == pytest.approx(line - (20.0 + 2.0 * v + 3.0 * v * v), abs=1e-9)
+
+
+@pytest.mark.parametrize(("most", "holds"), [(9999.0, True), (5.0, False)])
+def test_a_shunt_facts_device_holds_its_voltage_from_a_flat_start(
+    tmp_path: Path, most: float, holds: bool
+) -> None:
+    """With a load of 60 MW more the stored voltages are no solution; their Q would be no device's."""
+    facts = [f"'SVC',3,0,1,0,0,0.98,{most},0,0.9,1.1,1.0,0,0.05,100,1,0,0,0,3,''"]
+    loads = ["3,'X',1,1,1,60.0,30.0,0,0,0,0,1,1,0"]
+    imported = of_text(tmp_path, raw_grid(33, extra={"FACTS": facts, "load": loads}))
+    q = next(row for row in imported.case.loads if row.name.startswith("F")).Q_mvar
+    v = abs(solve_powerflow(imported.case).voltage(3))
+    assert (v == pytest.approx(0.98, abs=1e-9)) is holds
+    assert (abs(q) == pytest.approx(most)) is not holds
+    assert any("gives its SHMX" in text for text in imported.report.assumed) is not holds
 
 
 def test_a_series_facts_device_brings_its_scheduled_power(tmp_path: Path) -> None:
