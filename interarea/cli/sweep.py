@@ -232,7 +232,10 @@ def screen(
     scheduler: Scheduler = None,
     json_: Annotated[bool, typer.Option("--json", help="print JSON instead of lines")] = False,
 ) -> None:
-    """Fault every bus of a grid, or trip every branch; write one page, worst first, with clearing times."""
+    """Fault every bus of a grid, or trip every branch; write one page, worst first, with clearing times.
+
+    The exit code is 1 if every run of a controller fails.
+    """
     from interarea.cosim.screen.page import Explorer, write_grid, write_screening
     from interarea.cosim.screen.screening import Screening, run_screening
     from interarea.fmu_build.write.cache import default_cache
@@ -271,9 +274,14 @@ def screen(
     else:
         _tell_losses(result)
         typer.echo(page)
-    if all(one.verdict == "failed" for one in result):
-        print(f"first reason: {result[0].reason}", file=sys.stderr)
+    if _none_ran(result):
         raise typer.Exit(1)
+
+
+def _none_ran(result: Sequence[Screened]) -> bool:
+    """Whether every run of a controller failed."""
+    ran = {one.controller for one in result if one.verdict != "failed"}
+    return any(one.controller not in ran for one in result)
 
 
 def _tell_losses(result: Sequence[Screened]) -> None:
@@ -281,11 +289,14 @@ def _tell_losses(result: Sequence[Screened]) -> None:
     from interarea.cosim.screen.page import NO_SUCCESS
 
     for name in dict.fromkeys(one.controller for one in result):
-        own = [one.verdict for one in result if one.controller == name]
-        failed = f", {own.count('failed')} failed" if "failed" in own else ""
-        swinging = sum(one.came_to in NO_SUCCESS for one in result if one.controller == name)
+        own = [one for one in result if one.controller == name]
+        reasons = [one.reason for one in own if one.verdict == "failed"]
+        failed = f", {len(reasons)} failed, first reason: {reasons[0]}" if reasons else ""
+        swinging = sum(one.came_to in NO_SUCCESS for one in own)
         swings = f", {swinging} keep synchronism with a swing that does not decay" if swinging else ""
-        typer.echo(f"controller {name}: {own.count('lost')} of {len(own)} lose synchronism{swings}{failed}")
+        lost = sum(one.verdict == "lost" for one in own)
+        count = f"{lost} of {len(own) - len(reasons)} lose synchronism"
+        typer.echo(f"controller {name}: {count}{swings}{failed}")
 
 
 def _seconds(text: str, grid: str) -> float:

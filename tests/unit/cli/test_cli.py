@@ -210,6 +210,26 @@ def test_screen_writes_its_page_and_says_how_many_slip(interarea, tmp_path: Path
     assert json.loads((out / "screen.json").read_text())["rows"][0]["verdict"] == "lost"
 
 
+def test_screen_counts_no_failed_run_of_a_controller_that_does_not_fit(interarea, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+    words = (
+        "--bus",
+        "8",
+        "--stop",
+        "2",
+        "--workers",
+        "1",
+        "--controller",
+        "nets_nyps",
+        "--out",
+        tmp_path / "s",
+    )
+    code, said, _ = interarea("screen", "two-area-thesis", *map(str, words))
+    assert code == 1
+    assert said.splitlines()[1].startswith(
+        "controller nets_nyps: 0 of 0 lose synchronism, 1 failed, first reason: controller nets_nyps: none of"
+    )
+
+
 @pytest.mark.parametrize(
     "words, why",
     [
