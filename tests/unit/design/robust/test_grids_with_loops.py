@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import pytest
@@ -11,7 +12,7 @@ from interarea.cosim.designs.family import family_plants
 from interarea.design.controllers.bundled import shipped_controller
 from interarea.design.delay.signal_conditions import condition_of_many
 from interarea.design.modes.modes import modes_of
-from interarea.design.robust.operating_points import INTER_AREA_HZ, family_row, inter_area_band
+from interarea.design.robust.operating_points import INTER_AREA_HZ, FamilyRow, family_row, inter_area_band
 
 NAMES = ("new_england", "nets_nyps")
 
@@ -66,26 +67,41 @@ def test_on_a_large_grid_the_least_damped_inter_area_mode_gains_a_twentieth(cach
     assert min(row.inter_area for row in rows) >= least + 0.05
 
 
+def worst_to_lose(
+    recorded: Mapping[tuple[str, str], FamilyRow], point: str, signals: Sequence[str]
+) -> set[str]:
+    """Return the signals whose loss leaves the least of both dampings at a point, on time and 100 ms late."""
+    of_loss = {
+        (late, signal): recorded[point, f"{late}L:{signal}"] for signal in signals for late in ("", "s100+")
+    }
+    by_swing = min(of_loss, key=lambda loss: of_loss[loss].worst_swing)
+    return {min(of_loss, key=lambda loss: of_loss[loss].inter_area)[1], by_swing[1]}
+
+
 @pytest.mark.slow
-@pytest.mark.timeout(900)  # 160 s beside two others on two cores
+@pytest.mark.timeout(900)
 @pytest.mark.parametrize(("name", "local_share"), [("new_england", 0.9), ("nets_nyps", 0.9)])
 def test_it_raises_the_inter_area_damping_with_any_one_signal_lost(
     name: str, local_share: float, cache: Path
 ) -> None:
-    """At latencies between those of the design too; at those of the record it is that of the record."""
+    """At latencies between those of the design too; at those of the record it is that of the record.
+
+    50 ms lie between the record's 0 and 100: each signal is lost at the first point, at others the worst two.
+    """
     table, controller = load_design(name), shipped_controller(name)
     K, record = controller.system, controller.certificate
+    assert record is not None
     points = family_plants(table, cache)
     modes = {name: modes_of(point.searched, table.grid.areas) for name, point in points.items()}
     bands = {name: inter_area_band(each) for name, each in modes.items()}
-    codes = ("N", "s150", *(f"s50+L:{signal}" for signal in table.signals))
-    conditions = [condition_of_many(code, table.signals) for code in codes]
+    recorded = {(row["point"], row["condition"]): FamilyRow(**row) for row in record["rows"]}
+    judged = [row for row in recorded.values() if row.condition == "N"]
     # the rows of `judge_family` without its criteria of loss and effort, which are not looked at here
-    judged = [
-        family_row(name, point.judged, K, condition, bands[name])
-        for name, point in points.items()
-        for condition in conditions
-    ]
+    for name, point in points.items():
+        lost = table.signals if name == table.point[0].name else worst_to_lose(recorded, name, table.signals)
+        for code in ("s150", *(f"s50+L:{signal}" for signal in lost)):
+            condition = condition_of_many(code, table.signals)
+            judged.append(family_row(name, point.judged, K, condition, bands[name]))
     assert all(row.stable for row in judged)
     # with two lines out little more than stability is asked
     asked_less = {point.name for point in table.point if point.ask is not None}
@@ -98,7 +114,6 @@ def test_it_raises_the_inter_area_damping_with_any_one_signal_lost(
     assert least < 0.09
     assert min(row.inter_area for row in rows) >= 2.0 * least
     assert min(row.worst_swing for row in rows) >= local_share * local
-    assert record is not None
     late = [row for row in record["rows"] if row["condition"].startswith("s200+L:")]
     least_recorded = sorted(late, key=lambda row: row["inter_area"])[:3] + late[:1]
     for known in least_recorded:
