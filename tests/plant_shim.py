@@ -95,7 +95,7 @@ def compile_shared(sources: tuple[Path, ...], flags: tuple[str, ...] = tuple(FLA
     texts = [p.read_bytes() for p in (*sources, *everything)]
     key = content_hash(*texts, [p.name for p in (*sources, *everything)], flags, compiler(), _version())
     folder = default_cache()
-    with one_at_a_time(folder / "shim.lock"):
+    with one_at_a_time(folder / f"shim-{key}.lock"):
         return artefact(folder, "shim", key, ".so", lambda result: _compile(sources, flags, result))
 
 
