@@ -29,7 +29,10 @@ _SECTION = re.compile(rb"-+\s*file type:\s*(\w+)(?:\s+(\w+))?(?:\s*:\s*\d+)?\s*-
 
 @dataclass(frozen=True)
 class Analog:
-    """An analog channel of the configuration: value = a x + b in `unit`."""
+    """An analog channel of the configuration: value = ratio (a x + b) in `unit`.
+
+    ratio : of its transformer, where the file has secondary values, else 1.
+    """
 
     name: str
     circuit: str
@@ -37,6 +40,7 @@ class Analog:
     unit: str
     a: float
     b: float
+    ratio: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -128,11 +132,12 @@ def _read(path: Path, text: str, data: bytes) -> Comtrade:
     if kind != "ASCII" and kind not in _TYPES:
         raise lines.wrong("ASCII, BINARY, BINARY32 or FLOAT32", kind)
     factor = 1.0 if lines.ended else lines.number_of(lines.next("factor of the stamps")[0], "factor", 1.0)
-    stamps, values, status = (_ascii if kind == "ASCII" else _binary)(
+    numbers, stamps, values, status = (_ascii if kind == "ASCII" else _binary)(
         path, data, len(analogs), len(flags), kind
     )
     values = values * np.array([c.a for c in analogs]) + np.array([c.b for c in analogs])
-    time_s, stamped = _times(path, stamps, rates, factor * _tick_s(start))
+    values = values * np.array([c.ratio for c in analogs])
+    time_s, stamped = _times(path, numbers, stamps, rates, factor * _tick_s(start))
     return Comtrade(
         *(head[0], head[1], start, frequency_hz, analogs, flags, time_s, values, status, stamped),
     )
@@ -142,7 +147,13 @@ def _analog(lines: _Lines) -> Analog:
     layout = "an analog channel: number, name, phase, circuit, unit, a, b, ..."
     field = lines.next(layout, 7)
     a, b = lines.number_of(field[5], layout), lines.number_of(field[6], layout, 0.0)
-    return Analog(field[1], field[3], field[2], field[4], a, b)
+    ratio = 1.0
+    if field[12:] and field[12].upper() == "S":
+        primary, secondary = (lines.number_of(text, layout, 1.0) for text in field[10:12])
+        if not (primary > 0.0 and secondary > 0.0):
+            raise lines.wrong("a primary and a secondary ratio above 0", ",".join(field[10:12]))
+        ratio = primary / secondary
+    return Analog(field[1], field[3], field[2], field[4], a, b, ratio)
 
 
 def _tick_s(start: str) -> float:
@@ -152,7 +163,7 @@ def _tick_s(start: str) -> float:
 
 def _ascii(
     path: Path, data: bytes, analogs: int, flags: int, kind: str
-) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
+) -> tuple[Array, Array, Array, npt.NDArray[np.bool_]]:
     rows = [line.split(b",") for line in data.replace(b"\x1a", b"").splitlines() if line.strip()]
     width = 2 + analogs + flags
     for k, row in enumerate(rows, start=1):
@@ -168,12 +179,12 @@ def _ascii(
         raise RecordError(f"{path}: its data have no number where one is required: {error}") from None
     values = numbers[:, 2 : 2 + analogs]
     values[values == _MISSING_ASCII] = np.nan
-    return numbers[:, 1], values, numbers[:, 2 + analogs :] != 0.0
+    return numbers[:, 0], numbers[:, 1], values, numbers[:, 2 + analogs :] != 0.0
 
 
 def _binary(
     path: Path, data: bytes, analogs: int, flags: int, kind: str
-) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
+) -> tuple[Array, Array, Array, npt.NDArray[np.bool_]]:
     number, missing = _TYPES[kind]
     words = -(-flags // 16)
     row = np.dtype([("n", "<u4"), ("t", "<u4"), ("a", number, (analogs,)), ("d", "<u2", (words,))])
@@ -188,21 +199,28 @@ def _binary(
     values[values == missing] = np.nan
     bits = (table["d"][:, :, None] >> np.arange(16, dtype=np.uint16)) & 1
     stamps = np.where(table["t"] == _MISSING_STAMP, np.nan, table["t"].astype(float))
-    return stamps, values, bits.reshape(count, -1)[:, :flags] != 0
+    return table["n"].astype(float), stamps, values, bits.reshape(count, -1)[:, :flags] != 0
 
 
-def _times(path: Path, stamps: Array, rates: list[tuple[float, ...]], tick_s: float) -> tuple[Array, bool]:
-    """Return the time of each sample, by the rates where there are any, and whether it is by the stamps."""
+def _times(
+    path: Path, numbers: Array, stamps: Array, rates: list[tuple[float, ...]], tick_s: float
+) -> tuple[Array, bool]:
+    """Return the time of each sample, by the rates where there are any, and whether it is by the stamps.
+
+    By the rates a number that is not there is a missing sample, if the numbers rise.
+    """
     if rates[0][0] > 0.0:
-        steps = np.full(len(stamps), 1.0 / rates[-1][0] if rates[-1][0] > 0.0 else np.nan)
-        first = 0
-        for rate, last in rates:
+        rising = np.isfinite(numbers).all() and (np.diff(numbers) >= 1.0).all()
+        place = numbers - numbers[0] if rising else np.arange(len(stamps), dtype=float)
+        ends, times = [0.0], [0.0]
+        for rate, last in [*rates, (rates[-1][0], place[-1] + 1.0)]:
             if not rate > 0.0:
                 raise RecordError(
                     f"{path}: a sampling rate of {rate:g}, allowed: above 0, or no rates at all"
                 )
-            steps[first : int(last)], first = 1.0 / rate, int(last)
-        return np.concatenate([[0.0], np.cumsum(steps[1:])]), False
+            ends.append(max(last - 1.0, ends[-1]))
+            times.append(times[-1] + (ends[-1] - ends[-2]) / rate)
+        return np.interp(place, ends, times), False
     if np.isnan(stamps).any():
         raise RecordError(f"{path}: samples without a time stamp, and no sampling rate; wanted: one of them")
     return (stamps - stamps[0]) * tick_s, True

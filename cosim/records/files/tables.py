@@ -377,5 +377,7 @@ def _comtrade(path: Path) -> Table:
     flags = [Raw(Channel(n, "status", "1", "")) for n in data.flags]
     stamps = "its time stamps" if data.stamped else "its sampling rates"
     notes = [f"COMTRADE of {data.station or 'no station'}, time by {stamps}"]
+    if secondary := [c.name for c in data.analogs if c.ratio != 1.0]:
+        notes.append(f"secondary values, taken times the ratio of their transformer: {', '.join(secondary)}")
     values = np.hstack([data.analog, data.status])
     return Table(data.time_s, values, [*raws, *flags], notes, data.start)

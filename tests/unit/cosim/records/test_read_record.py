@@ -143,6 +143,35 @@ def test_sixteen_bits_of_a_binary_file_with_a_missing_sample(tmp_path: Path) -> 
     assert any("VM (1)" in n for n in record.notes)
 
 
+@pytest.mark.parametrize("kind", ["ASCII", "FLOAT32"])
+def test_samples_that_a_comtrade_file_has_not_are_missing(kind: str, tmp_path: Path) -> None:
+    path = comtrade(tmp_path, kind)
+    whole, data = read_record(path), (tmp_path / "r.dat").read_bytes()
+    size = len(data) // 300
+    rows = (
+        data.splitlines(keepends=True) if kind == "ASCII" else [data[k * size :][:size] for k in range(300)]
+    )
+    (tmp_path / "r.dat").write_bytes(b"".join(rows[:100] + rows[110:]))
+    record = read_record(path)
+    np.testing.assert_allclose(record.values[110:], whole.values[110:], atol=1e-9)
+    assert record.length_s == pytest.approx(whole.length_s)
+    assert "10 frames are missing: interpolated" in record.notes
+
+
+def test_secondary_values_of_comtrade_are_taken_to_the_primary_side(tmp_path: Path) -> None:
+    path = comtrade(tmp_path, "FLOAT32")
+    primary = read_record(path)["VM"]
+    path.write_text(path.read_text().replace("99998,1,1,P", "99998,4.0,0.5,S", 1))
+    record = read_record(path)
+    np.testing.assert_allclose(record["VM"], 8.0 * primary, rtol=1e-12)
+    assert "secondary values, taken times the ratio of their transformer: VM" in record.notes
+    path.write_text(path.read_text().replace("99998,4.0,0.5,S", "99998,4.0,0,S", 1))
+    with pytest.raises(
+        RecordError, match=r"line 3 is '4.0,0', wanted: a primary and a secondary ratio above 0"
+    ):
+        read_record(path)
+
+
 @pytest.mark.parametrize("kind", ["ASCII", "BINARY32", "FLOAT32"])
 def test_the_comtrade_package_reads_the_same_numbers(kind: str, tmp_path: Path) -> None:
     other = pytest.importorskip("comtrade")
