@@ -12,7 +12,7 @@ from interarea.cosim.records.files.read import read_pieces, read_record
 from interarea.cosim.records.fit import Fit, fitted
 from interarea.cosim.records.meter import Meter
 from interarea.cosim.records.meter import meter as metered
-from interarea.cosim.records.record import Record
+from interarea.cosim.records.record import Record, RecordError
 from interarea.cosim.records.trend import EVERY_S, Trend, trend
 from interarea.fmu_build.write.cache import default_cache
 from interarea.grids import case_like
@@ -82,12 +82,15 @@ def damping_trend(
 
     Raises
     ------
-    UserError : another kind of file, or no part can be metered, with the first reason.
+    UserError : another kind of file, a window that ends before it starts, or no part can be metered, with
+        the first reason.
     """
     grid = None if case is None else case_like(case)
     frequency_hz = 60.0 if grid is None else grid.frequency_hz
     modes = () if grid is None else modes_in(grid, band_hz)
     low, high = window_s or (-inf, inf)
+    if not low < high:
+        raise RecordError(f"window_s = ({low:g}, {high:g}), allowed: the first below the second")
     pieces = (
         piece
         for piece in read_pieces(record, every_s, units=units, frequency_hz=frequency_hz)

@@ -69,6 +69,8 @@ def terminal_of(record: Record, case: Case, machine: str, rest_s: float) -> Term
     if machine not in names:
         raise RecordError(f"{case.name}: no machine {machine!r}; {nearest(machine, names)}")
     m = case.machines[names.index(machine)]
+    if not rest_s > 0.0:
+        raise RecordError(f"rest_s = {rest_s:g} s of steady state, allowed: above 0")
     if not record.length_s >= _LEAST_S + rest_s:
         raise RecordError(
             f"{record.source}: {record.length_s:.3g} s with {rest_s:g} s of steady state, wanted: "

@@ -138,7 +138,8 @@ def trend(
         parts.append(Part(piece.start_s, result))
         _follow(tracks, len(parts) - 1, result.swings)
     if first is None:
-        raise RecordError(parts[0].why if parts else "the file has no part with samples, wanted: samples")
+        none = "no part of the file lies in the window, allowed: a window that holds a part of it"
+        raise RecordError(parts[0].why if parts else none)
     order = sorted(tracks, key=lambda t: -len(t))
     return Trend(
         first.source, start, every_s, first.quantity, first.unit, tuple(parts), tuple(map(Track, order)),

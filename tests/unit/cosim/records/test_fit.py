@@ -114,6 +114,8 @@ def test_what_cannot_be_played_in_is_refused_in_one_line(
     some = [
         c.name for c in record.channels if c.quantity != "voltage" and not c.name.endswith((".re", ".im"))
     ]
+    with pytest.raises(RecordError, match="rest_s = -1 s of steady state, allowed: above 0"):
+        ia.fit(run(), CASE, "G1", rest_s=-1.0)
     with pytest.raises(RecordError, match="no voltage at G1, bus1, "):
         ia.fit(record.only(some), CASE, "G1")
 

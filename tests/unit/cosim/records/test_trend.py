@@ -153,7 +153,7 @@ def test_nothing_to_meter_is_refused_with_the_first_reason(
     still.iloc[:, 1:] = 60.0
     with pytest.raises(RecordError, match="no channel varies"):
         ia.damping_trend(as_csv(still, tmp_path), every_s=EVERY_S)
-    with pytest.raises(RecordError, match="no part with samples"):
+    with pytest.raises(RecordError, match="no part of the file lies in the window"):
         trend(iter(()))
     code, _, err = invoke(
         ["meter", str(tmp_path / "day.csv"), "--every", "40", "--beside", str(tmp_path / "day.csv")],
@@ -174,3 +174,21 @@ def test_memory_is_that_of_a_part_not_of_the_file(tmp_path: Path, monkeypatch: p
         most.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
     assert most[1] < 1.3 * most[0]
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"window_s": (60.0, 0.0)}, r"window_s = \(60, 0\), allowed: the first below the second"),
+        ({"window_s": (float("nan"), 60.0)}, "window_s = "),
+        (
+            {"window_s": (900.0, 960.0)},
+            "no part of the file lies in the window, allowed: a window that holds",
+        ),
+        ({"every_s": float("inf")}, "pieces of inf s, allowed: above 0"),
+        ({"quantity": "voltage", "channels": ["PMU 1 F"]}, "channels of frequency, wanted: of voltage"),
+    ],
+)
+def test_choices_that_leave_nothing_are_refused(options: dict[str, object], says: str) -> None:
+    with pytest.raises(RecordError, match=says):
+        ia.damping_trend(day(2), **{"every_s": EVERY_S, **options})
