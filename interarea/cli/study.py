@@ -45,7 +45,8 @@ Minutes = Annotated[
         "--minutes",
         metavar="MIN",
         min=0.1,
-        help="of a grid: processor time at most (else 10, worth 30, inverters 60); the rest is omitted",
+        help="of a grid: processor time at most (else 10, worth 30, actuators 40, inverters 60); the rest "
+        "is omitted",
     ),
 ]
 OutFolder = Annotated[
