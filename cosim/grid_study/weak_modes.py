@@ -12,6 +12,7 @@ from interarea.design.modes.all_modes import AllModes, all_modes
 from interarea.design.modes.growth import Growth, growth_of_plant
 from interarea.design.modes.loop_choice import choose_loops
 from interarea.design.modes.loop_points import LoopSet
+from interarea.design.modes.loop_selection import actuators_of, require_actuator
 from interarea.design.modes.modes import Mode
 from interarea.models.case.case import Case
 
@@ -104,8 +105,9 @@ class WeakModes:
         ModeError is raised where no actuator reaches the weak modes.
         """
         sets: list[LoopSet] = []
-        there = len(self.choices.actuators or self.plant.inputs)
-        for together in range(1, min(self.choices.most_actuators, there) + 1):
+        there = self.choices.actuators or actuators_of(self.plant.inputs)
+        require_actuator(there)
+        for together in range(1, min(self.choices.most_actuators, len(there)) + 1):
             choice = choose_loops(
                 self.plant,
                 self.all_modes.modes,

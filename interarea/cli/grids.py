@@ -228,7 +228,9 @@ def names_grid(name: str, dyr: Path | None = None) -> bool:
             raise CaseError(f"--dyr {dyr}: needs a RAW file, not the case {name}")
         return True
     suffixes = {suffix.lower() for suffix in Path(name).suffixes}
-    if name not in PUBLISHED and not suffixes & {".raw", ".rawx", ".m"} and dyr is None:
+    if name not in PUBLISHED and not suffixes & {".raw", ".rawx", ".m"}:
+        if dyr is not None:
+            raise CaseError(f"--dyr {dyr}: needs a RAW file, not {name}")
         return False
     require_grid(name)
     return True

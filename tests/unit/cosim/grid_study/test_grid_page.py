@@ -123,6 +123,9 @@ def test_dynamic_data_beside_a_case_is_a_mistake(interarea: Any, tmp_path: Path)
     code, _, err = interarea("study", "new-england", "--dyr", dyr, "--out", tmp_path / "out")
     assert code == 2
     assert f"--dyr {dyr}: needs a RAW file, not the case new-england" in err
+    code, _, err = interarea("design", "robust", "--dyr", dyr, "--out", tmp_path / "out.json")
+    assert code == 2
+    assert f"--dyr {dyr}: needs a RAW file, not robust" in err
 
 
 @pytest.mark.slow

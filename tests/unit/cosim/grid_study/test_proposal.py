@@ -17,13 +17,13 @@ from interarea.cosim.grid_study import automatic
 from interarea.cosim.grid_study.automatic import GridDesign, _with_worst_points, least_held
 from interarea.cosim.grid_study.clock import Clock
 from interarea.cosim.grid_study.operating_points import TriedPoint, chosen_points, tried_points
-from interarea.cosim.grid_study.proposal import Findings, Proposal, _local_nodes, propose
+from interarea.cosim.grid_study.proposal import Findings, Proposal, _local_nodes, find, propose
 from interarea.cosim.grid_study.weak_modes import WeakModes, modes_of_grid, weak_modes
 from interarea.cosim.run.artefacts import linear_plant
 from interarea.design.controllers.controller import Controller
 from interarea.design.linear.linearise import remove_reference
 from interarea.design.modes.loop_points import LoopSet
-from interarea.design.modes.modes import modes_of
+from interarea.design.modes.modes import ModeError, modes_of
 from interarea.models.case.case import load_case
 from interarea.models.case.variants import operating_variant
 
@@ -65,6 +65,12 @@ def test_a_grid_that_grows_is_not_designed_for(cache: Path) -> None:
 def test_a_grid_without_a_weak_mode_is_not_designed_for(cache: Path) -> None:
     with pytest.raises(ScenarioError, match=r"no weak inter-area mode, all have .* nothing to design"):
         weak_modes(modes_of_grid(load_case("kundur-pss"), cache))
+
+
+def test_a_grid_without_an_actuator_is_not_designed_for(cache: Path) -> None:
+    weak = weak_modes(modes_of_grid(load_case("kundur-manual"), cache))
+    with pytest.raises(ModeError, match="no machine has an exciter that takes a signal"):
+        find(weak, cache, Clock(10.0))
 
 
 def _certified(proposal: Proposal, gain: float, cache: Path) -> Controller:
