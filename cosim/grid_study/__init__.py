@@ -1,1 +1,1 @@
-"""A study of any grid: a design made from the grid alone, and the page that says what it is worth."""
+"""Study of any grid: a design derived from the grid data alone, and the page of its results."""

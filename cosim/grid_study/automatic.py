@@ -1,7 +1,7 @@
-"""A design made and judged for a grid, from its data alone: sets of loops tried until one holds.
+"""Automatic design for a grid from its data: sets of loops are tried until one meets the requirements.
 
-The linear certificate comes first: faults are run for a set that passes it, or for the best where none does.
-Every part is kept in the cache by the hash of what it came from: what is stopped goes on where it was.
+The linear certificate comes first: faults are run for a set that passes it, or for the best if none does.
+Every part is cached by the hash of its inputs, so an interrupted design resumes.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ Report = Callable[[str, float], object]
 
 @dataclass(frozen=True)
 class GridDesign:
-    """A design made from the grid, and its controller with its certificate, faults included."""
+    """An automatic design, and its controller with its certificate, faults included."""
 
     proposal: Proposal
     controller: Controller
@@ -62,18 +62,18 @@ class GridDesign:
 
     @property
     def passed(self) -> bool:
-        """Whether the loop, or the local stabilizers by themselves, hold all that is asked."""
+        """Whether the loop, or the local stabilizers alone, meet all requirements."""
         return any((one.certificate or {})["passed"] for one in (self.controller, self.local) if one)
 
     @property
     def sentence(self) -> str:
-        """Which to build, in words."""
+        """Recommendation what to build, as a sentence."""
         requested = self.proposal.table.ask
         asked = (requested.inter_area, requested.worst_swing)
         return which_to_build(self.controller, self.local, asked, self.proposal.findings.weak.stabilized)
 
     def because(self, lines: tuple[str, ...]) -> GridDesign:
-        """Return the design with more reasons."""
+        """Return the design with additional reasons."""
         return replace(self, proposal=replace(self.proposal, reasons=(*self.proposal.reasons, *lines)))
 
 
@@ -88,11 +88,11 @@ def design_grid(
     named_stabilized: str = "",
     report: Report = lambda stage, share: None,
 ) -> GridDesign:
-    """Make a design for a grid, run it, judge it with faults; parts are found again in `cache`.
+    """Propose a design for a grid, run it, and evaluate it with faults; `cache` stores the parts.
 
-    clock : of the time that it may take. choices : of a person. name : of the controller. named,
-    named_stabilized : how the design file names the case, and that with local stabilizers. report : called
-    with one of `DESIGN_STAGES` and the share of it that is done.
+    clock : of the available processor time. choices : of the user. name : of the controller. named,
+    named_stabilized : names of the case in the design file, without and with local stabilizers. report :
+    called with one of `DESIGN_STAGES` and its completed share.
 
     Raises
     ------
@@ -117,7 +117,7 @@ def design_of_findings(
     named_stabilized: str = "",
     report: Report = lambda stage, share: None,
 ) -> GridDesign:
-    """Tune local stabilizers, then design a wide-area loop: for what they leave where that is something.
+    """Tune local stabilizers, then design a wide-area loop for the remaining weak modes, if any.
 
     Arguments and errors as `design_grid`.
     """
@@ -146,7 +146,7 @@ def design_of_findings(
 def findings_of(
     weak: WeakModes, cache: Path, clock: Clock, *, report: Report = lambda stage, share: None
 ) -> Findings:
-    """Return what a grid shows before a design (`find`), reported as one of `DESIGN_STAGES`."""
+    """Return the analysis of a grid before its design (`find`), reported as one of `DESIGN_STAGES`."""
     loops = DESIGN_STAGES[1]
     shares = {"loops": (0.0, 0.8), "operating points": (0.8, 0.2)}
 
@@ -169,7 +169,7 @@ def design_for(
     named: str = "",
     report: Report = lambda stage, share: None,
 ) -> GridDesign:
-    """Try sets of loops until a design holds what is asked, or return the best within the time.
+    """Try sets of loops until a design meets the requirements, or return the best within the time.
 
     findings : of the grid. first : the proposal for the first set, where it is there already. name, named :
     of other proposals. Other arguments and errors as `design_grid`.
@@ -219,9 +219,9 @@ def design_for(
 def left_out_rows(
     proposal: Proposal, controller: Controller, cache: Path, clock: Clock, stage: str
 ) -> list[dict[str, Any]]:
-    """Judge a controller at operating points that were tried and are not in its design.
+    """Evaluate a controller at operating points that were tried but are not in its design.
 
-    Rows as those of a certificate, as JSON values. stage : of `clock`, at the end of which no more is judged.
+    Rows as those of a certificate, as JSON values. stage : of `clock`; after its end no point is evaluated.
     """
     table, rows = proposal.table, []
     for row in proposal.left_out:

@@ -1,4 +1,4 @@
-"""A wide-area loop for what local stabilizers leave: they become devices of the grid, and both are judged."""
+"""Wide-area loop for the modes that local stabilizers leave weak; both are evaluated together."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from .weak_modes import WeakModes, modes_of_grid
 
 
 def leaves_something(local: Controller, requested: AskTable) -> bool:
-    """Whether stabilizers that keep every loop stable leave inter-area modes weak with all of them there.
+    """Whether inter-area modes remain weak with all stabilizers in service and every loop stable.
 
-    What they miss otherwise (one of them out, a local mode, a fault) is nothing that a loop is asked for.
+    Other requirements that they miss (one of them out, a local mode, a fault) are no reason for a loop.
     """
     rows = (local.certificate or {})["rows"]
     there = [row["inter_area"] for row in rows if row["condition"] == "N"]
@@ -25,7 +25,7 @@ def leaves_something(local: Controller, requested: AskTable) -> bool:
 
 
 def installable(case: Case, stabilizers: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
-    """Return those stabilizers (rows of `local_rival`) whose machines have none: a machine takes one."""
+    """Return the stabilizers (rows of `local_rival`) at machines without one: a machine has at most one."""
     free = {machine.name for machine in case.machines if machine.stabilizer is None}
     return [one for one in stabilizers if one["machine"] in free]
 
@@ -42,9 +42,9 @@ def _device(one: Mapping[str, Any], limit_pu: float) -> dict[str, Any]:
 
 
 def beside_local(weak: WeakModes, local: Controller, cache: Path) -> WeakModes | None:
-    """Return the grid with its local stabilizers, of which as much is asked as of the grid without.
+    """Return the grid with its local stabilizers; the requirements stay those of the grid without them.
 
-    None : no machine can have one, or that grid grows or has no inter-area mode left.
+    None : no machine can have one, or that grid is unstable or has no inter-area mode.
     """
     stabilizers = installable(weak.case, local.design["local"])
     if not stabilizers:

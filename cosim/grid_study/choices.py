@@ -1,4 +1,4 @@
-"""What a person may choose in the study of a grid, and the file that holds it; the rest follows by rules."""
+"""The user's choices in the study of a grid, and their file; rules determine the rest."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ class Choices(Table):
     clear_s: Annotated[float, Field(gt=0.0, le=5.0, description="duration of a fault, s")] = 0.1
 
     def wanted(self, least: float) -> float:
-        """Return the inter-area damping ratio asked for where the least without control is `least`.
+        """Return the required inter-area damping ratio if the least without control is `least`.
 
         >>> choices = Choices(grid="new-england")
         >>> round(choices.wanted(0.02), 3), choices.wanted(0.08), choices.wanted(0.2)
@@ -86,7 +86,7 @@ class Choices(Table):
 
 
 def load_choices(path: Path) -> Choices:
-    """Read the file of a study of a grid. Raises ScenarioError: each mistake in a line."""
+    """Read the file of a grid study. Raises ScenarioError with one line for each error."""
     keys = read_toml(path, "study", ScenarioError)
     try:
         return Choices.model_validate(keys)
@@ -95,7 +95,7 @@ def load_choices(path: Path) -> Choices:
 
 
 def choices_text(choices: Choices, findings: Sequence[str]) -> str:
-    """Return the file of a study with every choice in it, and what was found in its grid as comments."""
+    """Return the text of a study file with every choice, and properties of its grid as comments."""
     keys: dict[str, Any] = choices.model_dump(mode="json", exclude_none=True)
     lines = [f"# {line}" for line in findings]
     for key, value in keys.items():

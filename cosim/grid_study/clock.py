@@ -1,4 +1,4 @@
-"""The processor time of a study, its shares for the stages, and what was left out when it was over."""
+"""Processor time of a study, its shares for the stages, and the parts omitted for lack of time."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ GUESS, SEARCH = 0.025, 0.1
 
 @dataclass
 class Clock:
-    """Runs from when it was made, in processor time: the result does not depend on the load of the machine.
+    """Counts processor time from its creation, so results do not depend on the load of the machine.
 
-    left_out : in words, what there was no time for. ends : of its stages.
+    left_out : omitted parts, in words. ends : of its stages.
     """
 
     minutes: float = MINUTES
@@ -60,10 +60,10 @@ class Clock:
         return share * 60.0 * self.minutes
 
     def again(self) -> None:
-        """Let the first stages be done once more, until the ends of `ENDS_AGAIN`."""
+        """Allow the first stages to run again, until the ends of `ENDS_AGAIN`."""
         self.ends |= ENDS_AGAIN
 
     def leave(self, text: str) -> None:
-        """Keep what there was no time for, once."""
+        """Record an omitted part once."""
         if text not in self.left_out:
             self.left_out.append(text)

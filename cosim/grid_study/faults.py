@@ -1,4 +1,4 @@
-"""Faults with and without a controller at each operating point; smaller output limits where some fail."""
+"""Faults with and without a controller at each operating point; smaller output limits if some fail."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ def judged_with_faults(
     weakest: Mapping[str, float] | None = None,
     progress: Callable[[float], object] = lambda share: None,
 ) -> Controller:
-    """Return a controller with the faults of its design in its certificate, at the largest limit that holds.
+    """Return a controller with its design's faults in its certificate, at the largest limit that passes.
 
-    Each limit is tried point after point until one point has a fault that is lost, or does not decay; of
-    limits that all have one, the one that comes furthest is run at all points. Clearing times follow.
+    Each limit is tried at one point after another, until a fault loses synchronism or does not decay. If
+    every limit fails, the one that passed most points is run at all points. Clearing times follow.
 
     table : the design, whose linear certificate `controller` has in its record. stage : of the clock.
-    weakest : operating point -> damping without control; the least come first.
+    weakest : operating point -> damping without control; the least damped come first.
     """
     order = sorted(family_cases(table).items(), key=lambda item: (weakest or {}).get(item[0], 1.0))
     faults = _Faults(table, controller, dict(order), cache)
@@ -74,9 +74,9 @@ def judged_with_faults(
 
 
 def falls_short(certificate: Mapping[str, Any], inter_area: float, worst_swing: float) -> tuple[int, float]:
-    """Return how many loops of a certificate are unstable, and by how much it misses two damping ratios.
+    """Return the number of unstable loops of a certificate, and its margin to two damping ratios.
 
-    The latter is 0 where both are reached, else below 0.
+    The margin is 0 if both are reached, else negative.
     """
     unstable = sum(not row["stable"] for row in certificate["rows"])
     short = min(certificate["inter_area"] - inter_area, certificate["worst_swing"] - worst_swing)
@@ -93,7 +93,7 @@ class _Faults:
     cache: Path
 
     def run(self, limit_pu: float, point: str) -> Acceptance:
-        """Judge every fault at one operating point, without clearing times."""
+        """Run every fault at one operating point, without clearing times."""
 
         def made(limited: Controller, asked: AcceptanceTable) -> dict[str, Any]:
             at = {point: self.cases[point]}

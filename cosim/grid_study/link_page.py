@@ -1,4 +1,4 @@
-"""The page of the study `worth`: of each grid what a link buys, in a sentence, a figure and a table."""
+"""Page of the study `worth`: the value of a link for each grid, as a sentence, a figure and a table."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from .page import study_environment
 
 
 def write_link_page(study: Mapping[str, Any], path: Path) -> Path:
-    """Write the page of what `study` holds so far."""
+    """Write the page of the present results in `study`."""
     environment = study_environment(Path(__file__).parent)
     figures = {
         grid["grid"]: page_figure(_figure(grid), f"worth-{k}", f"Worth of links, {grid['grid']}")

@@ -1,4 +1,4 @@
-"""What the links of a grid are worth, set of loops by set of loops, in numbers and in a sentence."""
+"""Value of the links of a grid for each set of loops, as numbers and as a sentence."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from .link_worth import AFAR, AREA, LATENCIES_MS, OWN, LinkRow
 
 @dataclass(frozen=True)
 class LinkSet:
-    """A set of loops, its rows, and why there are none of some signals (one of `SIGNALS` -> the reason)."""
+    """A set of loops, its rows, and the reasons for missing ones (one of `SIGNALS` -> the reason)."""
 
     chosen: LoopSet
     rows: tuple[LinkRow, ...]
     missing: Mapping[str, str]
 
     def row(self, signals: str, latency_ms: int) -> LinkRow | None:
-        """Return one row; that of the own machines' signals is the same at every latency."""
+        """Return one row; the row of the own machines' signals is the same at every latency."""
         latency_ms = 0 if signals == OWN else latency_ms
         rows = (r for r in self.rows if (r.signals, r.latency_ms) == (signals, latency_ms))
         return next(rows, None)
 
     def adds(self, signals: str, latency_ms: int) -> tuple[float, float | None]:
-        """Return what signals add to inter-area damping and clearing time (cycles) over the own alone."""
+        """Return the inter-area damping and clearing time (cycles) that signals add to the own signals."""
         row, own = self.row(signals, latency_ms), self.row(OWN, 0)
         assert row is not None and own is not None
         cycles = None
@@ -35,13 +35,13 @@ class LinkSet:
         return row.least - own.least, cycles
 
     def pays(self, signals: str, latency_ms: int) -> bool:
-        """Whether they add `PAYS` of damping or `PAYS_CYCLES` of clearing time, as `SignalWorth` has it."""
+        """Whether they add `PAYS` of damping or `PAYS_CYCLES` of clearing time, as in `SignalWorth`."""
         damping, cycles = self.adds(signals, latency_ms)
         return bool(damping >= PAYS or (cycles or 0.0) >= PAYS_CYCLES)
 
 
 def conclusion(sets: Sequence[LinkSet]) -> str:
-    """Return the worth of the links of a grid, one clause for each set of loops.
+    """Return the value of the links of a grid, one clause for each set of loops.
 
     >>> conclusion([])
     'no set of loops was designed'

@@ -68,14 +68,14 @@ def study_links(
     command: str = "",
     report: Report = lambda stage, share: None,
 ) -> dict[str, Any]:
-    """Design and judge the links of each grid into the folder `out`; return what worth.json holds.
+    """Design and evaluate the links of each grid in the folder `out`; return the content of worth.json.
 
-    Every row is found again in `cache`; sets for which the time is over are named. A grid without a weak
-    inter-area mode has its reason under `problem`.
+    `cache` stores every row; sets that the time did not allow are named. For a grid without a weak inter-area
+    mode `problem` has the reason.
 
     Raises
     ------
-    OSError, or what it caused : the machine cannot do it. CaseError : a grid without an operating point.
+    OSError, or an error caused by one : of the machine. CaseError : a grid without an operating point.
     """
     clock = Clock(minutes)
     studies = {name: _GridLinks(name, case, cache, clock) for name, case in grids.items()}
@@ -110,7 +110,7 @@ def study_links(
 def link_designs(
     weak: WeakModes, cache: Path, clock: Clock, *, points: int = POINTS, faults: int = FAULTS
 ) -> LinkDesigns:
-    """Return what designs loops of a grid at so many operating points, judged by faults at so many places."""
+    """Return the `LinkDesigns` of a grid at so many operating points, with faults at so many places."""
     candidates = tried_points(weak, cache, clock)
     least = {row.point.name: row.least for row in candidates}
     base, *others = chosen_points(candidates)
@@ -134,7 +134,7 @@ class _GridLinks:
         self.sets: list[LinkSet] = []
 
     def add(self, size: int, progress: Any) -> None:
-        """Design the best set of so many loops, where there is one and time for it."""
+        """Design the best set of so many loops, if there is one and time for it."""
         try:
             designs = self._begun()
         except InterareaError as error:

@@ -1,8 +1,8 @@
-"""What a signal from afar buys in a grid: own signal, own area, other area, designed anew on equal terms.
+"""Value of a remote signal in a grid: own signal, own area and other area, designed on equal terms.
 
-Order, effort and conditions are the same; a signal of another machine is late, the own one is there at once.
-Every design of more signals also starts from that of the own signal alone, and gives way to it where the
-search ends below it: a link that is not used costs nothing.
+Order, effort and conditions are the same; a signal of another machine is late, the own signal is not. Every
+design with more signals also starts from the own-signal design, which replaces it if the search ends below:
+an unused link does no harm.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ _LONGEST_CYCLES, _RESOLUTION_CYCLES, _FAULT_S, _STOP_S = 30.0, 0.15, 1.0, 8.0
 
 @dataclass(frozen=True)
 class LoopTerms:
-    """What loops may do. effort : output over signal, at most; None: as the choices of the grid have it, pu
-    per rad/s. near : signals beside own machines' speeds that are neither late nor lost.
+    """Bounds of the loops. effort : largest output over signal, pu per rad/s; None: that of the grid's
+    choices. near : signals besides the own machines' speeds that are neither late nor lost.
     """
 
     effort: float | None = None
@@ -65,7 +65,7 @@ LOOP_TERMS = LoopTerms()
 
 @dataclass(frozen=True)
 class LinkRow:
-    """What a set of loops reaches with some signals at one latency, the least of all operating points.
+    """Results of a set of loops with some signals at one latency, the least over all operating points.
 
     there, late : least damping ratio of the inter-area modes, nothing late and other machines' signals late.
     lost : the least with one of those lost and the rest late; None where there is none. worst_swing : of all

@@ -1,4 +1,4 @@
-r"""Stabilizers at single machines, tuned by residue phase: what can be had without any signal from afar.
+r"""Stabilizers at single machines, tuned by residue phase: the reference without any remote signal.
 
 A small gain K from a machine's own speed to its exciter moves a mode by :math:`R K(\lambda)`, R the residue.
 The structure is that of the stabilizer `speed` of a case file, a washout and equal lead-lags
@@ -50,7 +50,7 @@ _UNSTABLE = (-np.inf, -np.inf)
 
 @dataclass(frozen=True)
 class Stabilizer:
-    """A stabilizer as a device `speed` has it: K s Tw/(1 + s Tw) ((1 + s T1)/(1 + s T2))^stages."""
+    """A stabilizer of the kind `speed`: K s Tw/(1 + s Tw) ((1 + s T1)/(1 + s T2))^stages."""
 
     machine: str
     mode: str  #: which it is tuned for
@@ -66,10 +66,10 @@ class Stabilizer:
 
 
 def tuned_for(mode: Mode, machine: str, residue: complex) -> Stabilizer | None:
-    """Return the stabilizer of a machine that moves a mode straight to the left; None: too much phase.
+    """Return the stabilizer of a machine that moves a mode horizontally to the left; None: too much phase.
 
-    residue : of the mode from the machine's exciter to its speed, 1/s. The gain is that of one per unit of
-    damping ratio, to first order.
+    residue : of the mode from the machine's exciter to its speed, 1/s. The gain is the one that adds a
+    damping ratio of 1, to first order.
     """
     s = mode.eigenvalue
     missing_deg = _lead_deg(residue * s * WASHOUT_S / (1.0 + s * WASHOUT_S))
@@ -95,9 +95,8 @@ def _lead_deg(move: complex) -> float:
 def tuned_stabilizers(weak: WeakModes, for_target: int = 1) -> list[Stabilizer]:
     """Return a stabilizer for each weak mode in turn, the least damped first, until `MOST` have one.
 
-    for_target : machines that a target of the study gets in its first turn. Each is at the machine, of
-    those without one, that needs the least gain for it, and not more than `MOST_GAIN` for the least that
-    is tried.
+    for_target : machines for each target of the study in its first turn. Each is at the machine without a
+    stabilizer that needs the least gain, at most `MOST_GAIN` for the least damping that is tried.
     """
     modes = sorted((*weak.targets, *weak.others), key=lambda m: m.damping_ratio)
     modes = [m for m in modes if m.damping_ratio < WEAK]
@@ -160,9 +159,10 @@ def local_rival(
     *,
     progress: Callable[[float], object] = lambda share: None,
 ) -> Controller | None:
-    """Return local stabilizers, judged as the wide-area loop is with nothing late; None where none can be.
+    """Return local stabilizers, evaluated like the wide-area loop with nothing late; None if none is
+    possible.
 
-    wide : the design of the wide-area loop, whose operating points, faults and wishes are taken.
+    wide : the design of the wide-area loop; its operating points, faults and requirements are used.
     """
     sets = [units for n in FOR_TARGET if (units := tuned_stabilizers(weak, n))]
     sets = [units for k, units in enumerate(sets) if units not in sets[:k]]
@@ -198,10 +198,10 @@ def local_rival(
 def which_to_build(
     wide: Controller, local: Controller | None, asked: tuple[float, float], installed: Sequence[str] = ()
 ) -> str:
-    """Return in a sentence which to build.
+    """Return the recommendation what to build, as a sentence.
 
-    asked : inter-area damping, damping of every swing. installed : machines with
-    a stabilizer of `local` in the grid that `wide` is for.
+    asked : required inter-area damping, and damping of every swing. installed : machines with a stabilizer of
+    `local` in the grid for which `wide` is designed.
     """
     if local is None:
         return "no local stabilizer can be tuned by residue phase: use the wide-area loop"

@@ -1,4 +1,4 @@
-"""Operating points of a design, from the grid: what moves its inter-area modes most."""
+"""Operating points of a design, selected from the grid by their effect on its inter-area modes."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ _EDGE = 0.97  # of the inter-area band's lower end, from where more is asked of 
 
 @dataclass(frozen=True)
 class TriedPoint:
-    """A change to the grid and what it does to the modes without control.
+    """A change to the grid and its effect on the modes without control.
 
     least : damping ratio of the worst inter-area mode there. moved : largest relative change of any such
-    mode's eigenvalue; 0 where a stabilizer is out. modes : all that were found. problem : why it is no point,
-    in words.
+    mode's eigenvalue; 0 where a stabilizer is out. modes : all that were found. problem : reason why it
+    cannot be a point.
     """
 
     point: PointTable
@@ -55,9 +55,9 @@ def tried_points(
     *,
     progress: Callable[[float], object] = lambda share: None,
 ) -> tuple[TriedPoint, ...]:
-    """Try other loads and tie flows, and outages: of local stabilizers, of branches that swing most.
+    """Try other loads and tie flows, and outages of local stabilizers and of the branches that swing most.
 
-    As many as there is time for.
+    The time limits their number.
     """
     others = [PointTable(name=f"load {100 * (k - 1):+.0f} %", load_scale=k) for k in LOADS]
     others += _tie_points(weak.case)
@@ -81,7 +81,8 @@ def tried_points(
 
 
 def chosen_points(tried: Sequence[TriedPoint]) -> tuple[PointTable, ...]:
-    """Return the points of a design: the grid as it is, outages that leave least or move most, the rest.
+    """Return the points of a design: the grid as it is, outages with least damping or largest change, the
+    rest.
 
     Outages are those of branches and of local stabilizers.
     """
@@ -98,10 +99,10 @@ def chosen_points(tried: Sequence[TriedPoint]) -> tuple[PointTable, ...]:
 def keeping_what_is_there(
     weak: WeakModes, points: Sequence[PointTable], tried: Sequence[TriedPoint], worst_swing: float
 ) -> tuple[PointTable, ...]:
-    """Ask at each point where local stabilizers give more than is wanted for what they give there.
+    """Require the damping of the local stabilizers at each point where it exceeds the requirement.
 
-    Less what any mode may give away, and no more than `ENOUGH`. Without stabilizers the points stay as they
-    are. worst_swing : least damping ratio of any swing that is asked everywhere.
+    Minus the loss allowed to any mode, and at most `ENOUGH`. Without stabilizers the points do not change.
+    worst_swing : least damping ratio of any swing, required everywhere.
     """
     if not weak.stabilized:
         return tuple(points)

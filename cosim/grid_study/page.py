@@ -38,7 +38,7 @@ def study_environment(folder: Path) -> jinja2.Environment:
 
 
 def mode_shapes(modes: Sequence[Mode], case: Case) -> list[Markup]:
-    """Draw the shapes of the first `SHAPES` modes, as figures of a page."""
+    """Draw the shapes of the first `SHAPES` modes as figures of a page."""
     return [page_figure(shape_plot(mode, case), f"shape-{k}") for k, mode in enumerate(modes[:SHAPES])]
 
 
@@ -124,7 +124,7 @@ def _holds(row: Mapping[str, Any], asked: Mapping[str, float]) -> bool:
 
 
 def damping_rows(judged: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Return for each operating point the least damping by kind of condition: all there, late, one lost."""
+    """Return the least damping at each operating point by kind of condition: normal, late, one lost."""
     rows: dict[str, dict[str, Any]] = {}
     for row in judged:
         kind = "lost" if "L" in row["condition"] else "all" if row["condition"] == "N" else "late"
@@ -207,5 +207,5 @@ def _clearing_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
 
 
 def ratio(value: float | None) -> str:
-    """Return a damping ratio, or another number of that size, in three places; a dash for none."""
+    """Return a damping ratio, or another number of that size, with three decimals; a dash for none."""
     return "–" if value is None else f"{value:.3f}".replace("-", "−")

@@ -1,7 +1,7 @@
-"""A design file made from the grid alone, each choice by a rule and with its reason.
+"""Design file derived from the grid alone, each choice by a rule and with its reason.
 
-Modes, loops, signals, operating points, conditions, what is asked and what the search may give away follow
-from the grid. What comes out is a design as a person would write it (`designs.design_file`), to go on from.
+Modes, loops, signals, operating points, conditions, requirements and allowed losses of damping follow from
+the grid. The result is a design as a user would write it (`designs.design_file`), and can be edited.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ _NEAR = 0.05  # relative distance of frequencies that share a node
 
 @dataclass(frozen=True)
 class Findings:
-    """What a grid shows before a design: short designs of sets of loops, and operating points tried."""
+    """Analysis of a grid before a design: short designs of sets of loops, and operating points tried."""
 
     weak: WeakModes
     loops: tuple[ShortDesign, ...]
@@ -72,9 +72,9 @@ class Findings:
 
     @property
     def sets(self) -> tuple[ShortDesign, ...]:
-        """Sets of loops in the order in which they are tried.
+        """Sets of loops in the order of the trials.
 
-        The fewest actuators to which another adds too little, then the best set of each larger number.
+        First the smallest set to which another actuator adds too little, then the best of each larger size.
         """
         best = min(max(design.damping for design in self.loops), ENOUGH)
         good = [d for d in self.loops if d.damping >= best - WORTH_AN_ACTUATOR]
@@ -95,12 +95,12 @@ class Proposal:
 
     @property
     def left_out(self) -> tuple[TriedPoint, ...]:
-        """Operating points that exist and are not in the design: what its controller is checked by."""
+        """Operating points that exist but are not in the design; they test its controller."""
         names = {point.name for point in self.table.point}
         return tuple(row for row in self.findings.points if not row.problem and row.point.name not in names)
 
     def text(self) -> str:
-        """Return the design file, the reasons as its comments."""
+        """Return the design file, with the reasons as comments."""
         keys = self.table.model_dump(mode="json", exclude_unset=True, exclude_none=True)
         head = "".join(f"# {line}\n" for line in self.reasons)
         return head + toml_text(keys)
@@ -113,9 +113,9 @@ def find(
     *,
     progress: Callable[[str, float], object] = lambda step, share: None,
 ) -> Findings:
-    """Design sets of loops shortly and try operating points, as far as there is time.
+    """Make short designs of sets of loops and try operating points, within the time.
 
-    progress : called with one of `STEPS` and the share of it that is done.
+    progress : called with one of `STEPS` and its completed share.
 
     Raises
     ------
@@ -143,10 +143,10 @@ def propose(
     case: str = "",
     also: Sequence[str] = (),
 ) -> Proposal:
-    """Make a design for one set of loops.
+    """Return a design for one set of loops.
 
-    clock : says how long its search may take. name : of the controller, default that of the case. case : what
-    the design file names it by. also : operating points that were tried and are to be in it.
+    clock : limits the time of its search. name : of the controller, default that of the case. case : its name
+    in the design file. also : additional operating points among those tried.
     """
     weak, candidates, choices = findings.weak, findings.points, findings.weak.choices
     parts = {a: _signals(weak, a, s) for a, s in taken.chosen.loops.items()}
@@ -256,9 +256,9 @@ def _conditions(signals: Sequence[str], latencies_ms: Sequence[int]) -> list[str
 def offset_of(
     weak: WeakModes, tried: Sequence[TriedPoint], names: set[str], reached: float
 ) -> list[list[float]]:
-    """Ask the most of the inter-area band, of local modes what they have, of slow and fast ones less.
+    """Return damping offsets: most for the inter-area band, present damping of local modes, less elsewhere.
 
-    reached : inter-area damping ratio that is counted on: where it is reached, no mode becomes weak.
+    reached : expected inter-area damping ratio: where it is reached, no mode becomes weak.
     """
     low, high = (2.0 * pi * hz for hz in inter_area_band({m.name: m for m in weak.all_modes.modes}))
     modes = [*weak.all_modes.modes, *(m for row in tried if row.point.name in names for m in row.modes)]
@@ -298,7 +298,7 @@ def acceptance_of(
 ) -> AcceptanceTable:
     """Return `most` faults at the branches whose power swings most, each cleared by the trip of that branch.
 
-    A branch whose trip cuts the grid at some operating point is passed over.
+    A branch whose trip splits the grid at some operating point is skipped.
     """
     ends = {branch.name: branch.from_bus for branch in weak.case.branches}
     faults: list[FaultPlace] = []

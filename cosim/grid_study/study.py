@@ -1,4 +1,4 @@
-"""The study of a grid: from its data to a page, each part written as soon as it is there."""
+"""The study of a grid: from its data to a page, each part written as soon as it is available."""
 
 from __future__ import annotations
 
@@ -58,19 +58,19 @@ def study_grid(
     choices: Choices | None = None,
     report: Report = lambda stage, share: None,
 ) -> dict[str, Any]:
-    """Study a grid into the folder `out`; return what study.json holds.
+    """Study a grid and write the results into the folder `out`; return the content of study.json.
 
-    named : how the design file names the case. assumptions : made while its data were read, for the page.
-    command : that repeats the study. choices : of a person; default none but the grid.
+    named : name of the case in the design file. assumptions : of the import, for the page. command : that
+    repeats the study. choices : of the user; default only the grid.
 
     Writes report.html (from the first second on), study.json, design.toml, controller.json, local.json,
-    fmus/, and `STABILIZED` where the wide-area loop is designed for that grid. What cannot be had stands in
-    the place of its part, with the reason, under `problem`.
+    fmus/, and `STABILIZED` where the wide-area loop is designed for that grid. A missing part has its reason
+    under `problem`.
 
     Raises
     ------
-    OSError, or what it caused : the machine cannot do it (a full disk, no memory). CaseError : no operating
-    point. ScenarioError : an actuator that the grid has not.
+    OSError, or an error caused by one : of the machine (a full disk, no memory). CaseError : no operating
+    point. ScenarioError : an actuator that the grid does not have.
     """
     modes, (rival, latency, last) = STAGES[0], STAGES[-3:]
     choices = choices or Choices(grid=case.name)
@@ -151,9 +151,9 @@ def study_grid(
 
 
 def defaults_of(case: Case, cache: Path) -> tuple[dict[str, Any], list[str]]:
-    """Return what is asked of a grid by default, as keys of `Choices`, and its modes in words.
+    """Return the default requirements of a grid, as keys of `Choices`, and its modes in words.
 
-    Raises CaseError where it has no operating point.
+    Raises CaseError if it has no operating point.
     """
     findings = modes_of_grid(case, cache)
     lines = [f"Study of {case.name}: {len(case.buses)} buses, {len(case.machines)} machines."]

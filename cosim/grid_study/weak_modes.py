@@ -1,4 +1,4 @@
-"""What is to be damped in a grid: its inter-area modes, and which weak modes a design leaves."""
+"""Modes to be damped in a grid: its inter-area modes, and the weak modes that a design does not target."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ SETS = 2  #: of loops that are designed shortly for each number of actuators
 
 @dataclass(frozen=True)
 class GridModes:
-    """A grid without control: modes between the ends of `BAND_HZ`, and whether anything at all grows."""
+    """A grid without control: its modes in `BAND_HZ`, and whether any eigenvalue grows."""
 
     case: Case
     plant: SparsePlant
@@ -49,13 +49,13 @@ class GridModes:
 
     @property
     def shown(self) -> tuple[Mode, ...]:
-        """Inter-area modes, then others that are weak, each by damping."""
+        """Inter-area modes, then other weak modes, each by damping."""
         groups = (self.inter_area, self.weak_others)
         return tuple(m for group in groups for m in sorted(group, key=lambda m: m.damping_ratio))
 
     @property
     def growing(self) -> list[str]:
-        """What grows, in words; empty where nothing does."""
+        """Growing eigenvalues, in words; empty if there are none."""
         if self.growth.stable:
             return []
         return [one.text for one in self.growth.growing] or [self.growth.text]
@@ -66,7 +66,7 @@ class GridModes:
 
 
 def modes_of_grid(case: Case, cache: Path) -> GridModes:
-    """Return the modes of a grid without control. Raises CaseError where it has no operating point."""
+    """Return the modes of a grid without control. Raises CaseError if it has no operating point."""
     plant = sparse_linear_plant(case, cache)
     modes = all_modes(plant, case.areas, band_hz=BAND_HZ, below=BELOW)
     return GridModes(case, plant, modes, growth_of_plant(plant, known=[m.eigenvalue for m in modes.modes]))
@@ -74,10 +74,10 @@ def modes_of_grid(case: Case, cache: Path) -> GridModes:
 
 @dataclass(frozen=True)
 class WeakModes:
-    """What is to be damped in a grid, and what was chosen for it.
+    """Modes to be damped in a grid, and the choices for it.
 
     targets : inter-area modes. others : weak modes that are not among them. stabilized : machines that got a
-    local stabilizer before (`beside_local`), each of which may be out of service.
+    local stabilizer before (`beside_local`); each may be out of service.
     """
 
     case: Case
@@ -90,19 +90,19 @@ class WeakModes:
 
     @property
     def weakest(self) -> Mode:
-        """The target that is damped least."""
+        """The least damped target."""
         return min(self.targets, key=lambda mode: mode.damping_ratio)
 
     @property
     def wanted(self) -> float:
-        """Inter-area damping ratio that a design is asked for."""
+        """Required inter-area damping ratio of a design."""
         return self.choices.wanted(self.weakest.damping_ratio)
 
     @cached_property
     def sets(self) -> tuple[LoopSet, ...]:
-        """The best sets of loops of each number of actuators, by their residues alone: a matter of seconds.
+        """The best sets of loops for each number of actuators, by residues alone (takes seconds).
 
-        ModeError is raised where no actuator reaches the weak modes.
+        Raises ModeError if no actuator reaches the weak modes.
         """
         sets: list[LoopSet] = []
         there = self.choices.actuators or actuators_of(self.plant.inputs)
@@ -124,13 +124,13 @@ class WeakModes:
 
 
 def weak_modes(grid: GridModes, choices: Choices | None = None) -> WeakModes:
-    """Return which modes of a grid are to be damped.
+    """Return the modes of a grid that are to be damped.
 
-    choices : of a person; default none but the grid.
+    choices : of the user; default only the grid.
 
     Raises
     ------
-    ScenarioError : a grid that grows by itself, with who takes part; no inter-area mode; none that is weak.
+    ScenarioError : an unstable grid, with the participating states; no inter-area mode; none that is weak.
     """
     case, targets = grid.case, grid.inter_area
     choices = choices or Choices(grid=case.name)

@@ -1,1 +1,1 @@
-"""Records of measurements: read, metered, located, played in."""
+"""Records of measurements: reading, mode meter, source location, playback into a model."""

@@ -2,8 +2,8 @@
 
 Both take the covariances R(t) of the signals. Stochastic subspace identification (Van Overschee and De Moor
 1996; driven by covariances, Peeters and De Roeck 1999) factors their Toeplitz matrix; the order is one at
-which poles stay where they were at lower ones. The modified Yule-Walker equations (Stoica and Moses 2005,
-3.7; for grids Wies, Pierre and Trudnowski 2003) fit an autoregression to lags beyond its order.
+which the poles are stationary. The modified Yule-Walker equations (Stoica and Moses 2005, 3.7; for grids
+Wies, Pierre and Trudnowski 2003) fit an autoregression to lags beyond its order.
 
 Intervals are by the jackknife over blocks of the record: the estimate is repeated without each block.
 """
@@ -111,10 +111,10 @@ def ambient_modes(values: Array, step_s: float, band_hz: tuple[float, float]) ->
 
 
 def estimate_of_one(values: Array, step_s: float, band_hz: tuple[float, float]) -> Estimate | None:
-    """Return frequency and damping ratio of what is strongest in a band of one signal (points, 1).
+    """Return frequency and damping ratio of the strongest component in a band of one signal (points, 1).
 
-    For a signal that passes little but one mode, however well damped that is: the autoregression's pole next
-    to that with the largest share by subspaces. None where they differ.
+    For a signal that contains little but one mode, however well damped: the pole of the autoregression
+    nearest to the pole with the largest share by subspaces. None if they differ.
     """
     rows = max(8, round(_LAG_S / step_s))
     blocks = int(np.clip(len(values) * step_s / _BLOCK_S, _LEAST_BLOCKS, _MOST_BLOCKS))

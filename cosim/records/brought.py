@@ -1,9 +1,9 @@
-"""What a controller brought: the damping of one record less that of another, with its interval.
+"""Effect of a controller: difference in damping between two records, with its interval.
 
-A mode that a controller damps well no longer stands out among the others. It is therefore looked for where it
-was without the controller: both records are seen through one combination of their signals, which passes the
-shape that the mode has without the controller and as little as it can of the shapes of the others. What is
-strongest there is compared, by the modified Yule-Walker equations; forced lines are taken out first.
+A mode that a controller damps well no longer stands out among the others. Both records are therefore
+projected on one combination of their signals, which passes the mode shape without the controller and
+suppresses the other shapes as far as possible. The strongest component there is compared by the modified
+Yule-Walker equations; forced lines are removed first.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ class Difference:
     """The damping of one mode with and without a controller.
 
     before, after : by one method, without and with it. difference : of the damping ratios. interval : at
-    `LEVEL`. shown : whether 0 is outside. wanted_s : length of both records with which a difference of that
-    size is shown with a chance of `POWER`; None where it is shown.
+    `LEVEL`. shown : whether 0 is outside. wanted_s : length of both records that shows a difference of that
+    size with probability `POWER`; None if it is shown.
     """
 
     frequency_hz: float
@@ -59,10 +59,10 @@ class Difference:
 
 @dataclass(frozen=True)
 class Brought(Meter):
-    """What `meter` says of the record with the controller, and what that brought.
+    """Result of `meter` for the record with the controller, and the effect of the controller.
 
-    beside : what it says of the record without. differences : mode by mode, the strongest first. new : a
-    sentence on each swing that stands out with the controller alone.
+    beside : result for the record without it. differences : mode by mode, the strongest first. new : a
+    sentence on each swing that is clear only with the controller.
     """
 
     beside: Meter
@@ -92,12 +92,12 @@ def brought(
     channels: Sequence[str] = (),
     modes: Sequence[Mode] = (),
 ) -> Brought:
-    """Return what a record with a controller has beside one without it; the rest as `meter` takes it.
+    """Compare a record with a controller with one without it; other arguments as in `meter`.
 
     Raises
     ------
-    RecordError : the same record twice, no signal in both, no mode in the record without the controller, what
-        `meter` refuses.
+    RecordError : the same record twice, no common signal, no mode in the record without the controller, or an
+    error of `meter`.
     """
     if record.values.shape == other.values.shape and np.array_equal(record.values, other.values):
         raise RecordError(

@@ -3,11 +3,11 @@ Litvinov 2017).
 
     W(t) = integral of (dP d(theta) + dQ d(ln V))
 
-of what swings in a narrow band around one frequency. P and Q count out of the bus, into line or machine.
-Where W rises, energy leaves the bus; where it falls, it comes in: the source is beyond that terminal. This is
-proved for networks without losses, loads of constant power and classical machines alone; resistance of lines,
-loads and some exciters move energy too (Chevalier, Vorobev and Turitsyn 2019). So the answer is a hint; how
-strong it is the checks tell: the ends of a line agree, one terminal stands out, both halves say the same.
+of the signals in a narrow band around one frequency. P and Q are positive out of the bus, into line or
+machine. Where W rises, energy leaves the bus; where it falls, energy enters, and the source is beyond that
+terminal. This is proved for networks without losses, loads of constant power and classical machines alone;
+resistance of lines, loads and some exciters move energy too (Chevalier, Vorobev and Turitsyn 2019). The
+answer is therefore a hint; its checks: the ends of a line agree, one terminal dominates, both halves agree.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _PHASES = 3.0  # of a line whose voltage is from phase to ground
 
 @dataclass(frozen=True)
 class Flow:
-    """Energy flow at a terminal. slope : of W, its power; below 0: energy comes in there. halves : of the
+    """Energy flow at a terminal. slope : of W, its power; below 0: energy enters there. halves : of the
     record's two halves. rms : of P in the band. machine : whether the terminal is one of a machine."""
 
     terminal: str
@@ -50,8 +50,8 @@ class Flow:
 
 @dataclass(frozen=True)
 class Source:
-    """What the energy flow says. flows : by size, the largest first. source : terminal through which most
-    energy comes in; "" where none can be named. why : in words. lines : of two ends, how they agree."""
+    """Result of the energy flow. flows : the largest first. source : terminal through which most energy
+    enters; "" if none can be named. why : in words. lines : agreement of their two ends."""
 
     source_file: str
     frequency_hz: float
@@ -77,7 +77,7 @@ def located(
     frequency_hz: float | None = None,
     at: Mapping[str, str] | None = None,
 ) -> Source:
-    """Return where the largest oscillation of a band comes from.
+    """Return the source of the largest oscillation in a band.
 
     frequency_hz : of the oscillation; that of the largest peak in the powers. at : as `terminals_of`.
 
@@ -115,7 +115,7 @@ def located(
 def strongest_line(record: Record, signals: Sequence[Array], band_hz: tuple[float, float]) -> float:
     """Return the frequency (Hz) with the largest peak in signals of a record, of a Hann window.
 
-    Raises RecordError where nothing stands out or the record is too short for the band.
+    Raises RecordError if no peak is clear or the record is too short for the band.
     """
     P = np.column_stack([x - np.linspace(x[0], x[-1], len(x)) for x in signals])
     window = np.hanning(len(P))[:, None]
@@ -232,7 +232,7 @@ class Terminal:
 
 
 def terminals_of(record: Record, at: Mapping[str, str] | None = None) -> tuple[list[Terminal], list[str]]:
-    """Return the terminals with enough measured, and notes on the others.
+    """Return the terminals with sufficient measurements, and notes on the others.
 
     at : terminal -> the terminal that has its voltage and angle, as ``branch[7-8]`` -> ``bus7``.
 

@@ -1,11 +1,10 @@
-"""Parameters of a machine with its controls from a record: which it shows, their values and covariance.
+"""Parameters of a machine with its controls from a record: which are identifiable, values, covariance.
 
-Gauss-Newton (Levenberg, Marquardt) on P and Q of the machine played in (`play_in.py`), each over its noise,
-in shares of the start values; the power at rest is fitted as well, and the instant of each jump of the
-voltage within the step of the record that has it. Sensitivities are differences of two runs that take the
-same steps. Before anything is fitted, the singular values of the sensitivities say which combinations the
-record does not show within `LIMIT`; of each such combination the parameter that is most of it stays as it is
-and is named (Golub and Van Loan 2013, 5.5).
+Gauss-Newton (Levenberg, Marquardt) on P and Q of the machine (`play_in.py`), each weighted by its noise, in
+shares of the start values. The initial power is fitted too, and the instant of each voltage jump within its
+step of the record. Sensitivities are differences of two runs with the same steps. Before the fit, the
+singular values of the sensitivities identify the combinations that the record does not determine within
+`LIMIT`; the largest parameter of each is fixed and named (Golub and Van Loan 2013, 5.5).
 """
 
 from __future__ import annotations
@@ -57,7 +56,7 @@ class Parameter:
 class Fit:
     """A machine beside its record.
 
-    misfit : rms of P and Q over that of what they move, with the case's parameters. fitted : with the new.
+    misfit : rms of P and Q relative to their motion, with the case's parameters. fitted : with the new ones.
     kept_as_is : parameter -> why it was not fitted. covariance : of `parameters`, in their units, squared.
     time_s, measured, played : the record, and the machine with the new parameters, (points, 2), pu of the
     case's base.
@@ -134,7 +133,7 @@ class _Problem:
         return np.column_stack(columns)
 
     def moved(self, slopes: Array, y: Array, other: Array, damping: float) -> Array:
-        """Return the step of Gauss-Newton; a jump that would leave its step of the record goes to its end."""
+        """Return the step of Gauss-Newton; a jump stays within its step of the record."""
         n = len(self.names)
         rest, step = self.rest(y), np.zeros(slopes.shape[1])
         free = np.ones(len(step), bool)
@@ -164,15 +163,15 @@ def fitted(
     rest_s: float = 0.5,
     progress: Callable[[str], object] = lambda _: None,
 ) -> Fit:
-    """Return a machine of a case beside its record, with those of `parameters` fitted that the record shows.
+    """Compare a machine of a case with its record; fit those of `parameters` that the record determines.
 
-    parameters : such as ``H``, ``exciter.KA``; none: the machine is only played in. rest_s : at the start of
-    the record, at rest.
+    parameters : such as ``H``, ``exciter.KA``; none: comparison only. rest_s : duration of the steady state
+    at the start of the record.
 
     Raises
     ------
-    RecordError : what `terminal_of` refuses, no such parameter, too many, one that is 0, an unstable machine.
-    CaseError : a machine that cannot rest at the operating point of the record.
+    RecordError : an error of `terminal_of`, no such parameter, too many, one that is 0, an unstable machine.
+    CaseError : a machine without an equilibrium at the operating point of the record.
     """
     terminal = terminal_of(record, case, machine, rest_s)
     names = tuple(parameters)

@@ -1,16 +1,15 @@
-"""Forced or modal: whether a swing of one frequency is a line of constant size, or a mode that noise excites.
+"""Forced or modal: whether an oscillation is a line of constant amplitude or a mode excited by noise.
 
-A sine is fitted to the signals, and slow motion taken out of what it leaves: a filter that has the line in it
-bends it at the ends of the record, as if it were a mode. What is left is turned back by the frequency and
-thinned to a narrow band around it. Of all combinations of the signals that pass the pattern of the line, that
-in which the rest is least (Capon 1969) has the complex envelope z. Two models of z are compared by their
-likelihoods:
+A sine is fitted to the signals, and slow motion is filtered out of the residual only: the filter would
+distort the line at the ends of the record. The result is demodulated and decimated to a narrow band. Of all
+combinations of the signals that pass the pattern of the line, the one with the least residual (Capon 1969)
+has the complex envelope z. Two models of z are compared by their likelihoods:
 
     modal    z = mode + noise, the mode an Ornstein-Uhlenbeck process of decay sigma >= LEAST_DAMPING w
     forced   z = constant + mode + noise
 
-A forced line is as narrow as the record is long, its envelope stands; that of a mode wanders with 1/sigma.
-Lines of a period are looked for too: harmonics that stand are what a limit or a dead band makes.
+The envelope of a forced line is constant; that of a mode varies with the time constant 1/sigma. Harmonics are
+searched too: constant ones come from a limit or a deadband.
 """
 
 from __future__ import annotations
@@ -48,10 +47,10 @@ _COHERENT = 0.8  # share of a line in its narrow band, above which a harmonic co
 
 @dataclass(frozen=True)
 class Line:
-    """A swing of one frequency. amplitude : of each combination, complex. likelihood : 2 log of the ratio.
+    """An oscillation. amplitude : of each combination, complex. likelihood : 2 log of the ratio.
 
     kind : forced, modal or undecided. width_hz : of its peak at half the power; of a line about 1 / length.
-    harmonics : their orders, where they stand too. purity : share of the line in its narrow band.
+    harmonics : orders of the constant ones. purity : share of the line in its narrow band.
     """
 
     frequency_hz: float
@@ -64,7 +63,7 @@ class Line:
 
 
 def lines_of(swings: Swings) -> list[Line]:
-    """Return the swings that stand out of the spectrum of the combined signals, the largest first."""
+    """Return the clear peaks in the spectrum of the combined signals, the largest first."""
     lines: list[Line] = []
     rest = swings
     for frequency in _peaks(swings):
@@ -82,12 +81,12 @@ def lines_of(swings: Swings) -> list[Line]:
 
 
 def forced_hz(lines: Sequence[Line]) -> list[float]:
-    """Return the frequencies of those of `lines` that are forced, and of their harmonics, Hz."""
+    """Return the frequencies of the forced `lines` and of their harmonics, Hz."""
     return [x.frequency_hz * k for x in lines if x.kind == FORCED for k in (1, *x.harmonics)]
 
 
 def without(swings: Swings, lines: Sequence[Line]) -> Swings:
-    """Return signals less those of `lines` that are forced, with their harmonics."""
+    """Return signals minus the forced `lines` and their harmonics."""
     taken = forced_hz(lines)
     if not taken:
         return swings
@@ -143,7 +142,7 @@ def _fitted(swings: Swings, frequency_hz: float) -> tuple[float, ComplexArray, A
 
 
 def side_hz(frequency_hz: float, length_s: float) -> float:
-    """Return how far the band of a line's envelope reaches to each side, Hz."""
+    """Return the half width of the band of a line's envelope, Hz."""
     return min(max(_SIDE * frequency_hz, _LEAST_WIDE / length_s), 0.5 * _MOST_POINTS / length_s)
 
 

@@ -1,4 +1,4 @@
-"""A mode meter: what swings in a record, how damped it is, whether it is forced, and which mode of a case."""
+"""Mode meter: oscillations of a record, their damping, whether they are forced, and the modes of a case."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ _ANY_RATIO = 1.0  # half an interval of a damping ratio: wider, it excludes hard
 
 @dataclass(frozen=True)
 class Swing:
-    """Something that swings.
+    """An oscillation.
 
     kind : modal, forced or undecided. amplitude : rms of the largest signal, in `Meter.unit`. estimates :
-    frequency and damping ratio by each method; none of what is forced or undecided. shape : terminal -> size
-    and phase, largest 1. why : what speaks for the kind. mode : of the case, "" for none; mode_damping : its
+    frequency and damping ratio by each method; none if forced or undecided. shape : terminal -> size
+    and phase, largest 1. why : evidence for the kind. mode : of the case, "" for none; mode_damping : its
     ratio there.
     """
 
@@ -89,13 +89,13 @@ def meter(
     channels: Sequence[str] = (),
     modes: Sequence[Mode] = (),
 ) -> Meter:
-    """Return what swings in a record.
+    """Return the oscillations of a record.
 
-    quantity, channels : what is looked at; the best that was measured. modes : of a case, to name swings by.
+    quantity, channels : to be analysed; default the best measured quantity. modes : of a case, as names.
 
     Raises
     ------
-    RecordError : nothing that swings, or a record too short for what it holds.
+    RecordError : no oscillation, or a record too short for it.
     """
     swings = swings_of(record, band_hz, quantity, channels)
     start = _jolt(swings)
@@ -296,7 +296,7 @@ def _shape(swings: Swings, amplitudes: npt.NDArray[np.complex128]) -> dict[str, 
 
 
 def likeness(one: Mapping[str, complex], other: Mapping[str, complex]) -> float:
-    """Return the squared cosine of two shapes at the terminals of both; 0 where they share fewer than two."""
+    """Return the squared cosine of two shapes at their common terminals; 0 if these are fewer than two."""
     both = [t for t in one if t in other]
     if len(both) < 2:
         return 0.0

@@ -1,15 +1,15 @@
-"""Where a forced oscillation comes from, by the linear model of the grid.
+"""Source of a forced oscillation by the linear model of the grid.
 
-At the frequency f of the oscillation every place where one may enter (mechanical power and voltage
-reference of each machine, modulation inputs, loads) has its own pattern of phasors over all channels,
+At its frequency f every place where an oscillation may enter (mechanical power and voltage reference of each
+machine, modulation inputs, loads) has its own pattern of phasors over all channels,
 
     y = H(j 2 pi f) d + e,
 
-with H of the full plant. First one d that is not 0 is looked for, then two: of each place or pair the
-amplitude by weighted least squares, then what it leaves unexplained. Errors e are the motion of each channel
-beside the line, and phasor errors of `PHASOR_ERROR`. The answer needs a model at the operating point of the
-record; the share that is explained says whether it is. It also holds where the energy flow of `energy.py`
-does not: in networks with losses, with any control and load.
+with H of the full plant. Each single place is tried, then each pair: the amplitude is fitted by weighted
+least squares, and the residual compared. The errors e are the motion of each channel beside the line, and
+phasor errors of `PHASOR_ERROR`. The model must be at the operating point of the record; the residual shows
+whether it is. The method also holds where the energy flow of `energy.py` does not: in networks with losses,
+with any control and load.
 """
 
 from __future__ import annotations
@@ -73,11 +73,11 @@ class Candidate:
 
 @dataclass(frozen=True)
 class ModelSource:
-    """What the model says. candidates : the best, first those of one place, by what they leave unexplained.
+    """Result of the model. candidates : the best, single places first, by their residual.
 
-    source : the best where it explains the record and none elsewhere does so nearly as well, else None.
-    others : units at the same bus that no measurement tells from it. why : in words. likelihood : twice the
-    logarithm of the ratio of the first two. channels : how many were used.
+    source : the best if it explains the record and no place elsewhere does nearly as well, else None. others
+    : units at the same bus that the measurements do not distinguish. why : in words. likelihood : twice the
+    logarithm of the ratio of the first two. channels : number used.
     """
 
     case: str
@@ -122,15 +122,15 @@ def source_by_model(
     band_hz: tuple[float, float] = BAND_HZ,
     most: int = 8,
 ) -> ModelSource:
-    """Return which place of a grid an oscillation enters at.
+    """Return the place of a grid where an oscillation enters.
 
     plant : of the case, linear. frequency_hz : near that of the oscillation, which is then fitted within half
     a line of the spectrum; default the largest peak of the band. most : candidates that are returned.
 
     Raises
     ------
-    RecordError : too few periods, nothing that stands out, or fewer than `_LEAST_CHANNELS` channels of
-        places that the case has.
+    RecordError : too few periods, no clear peak, or fewer than `_LEAST_CHANNELS` channels of places in the
+    case.
     """
     keys, values, notes = _channels(record, case, plant)
     if len(keys) < _LEAST_CHANNELS:

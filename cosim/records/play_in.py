@@ -1,11 +1,11 @@
-"""A machine alone with its controls, played in: recorded terminal voltage and angle in, P and Q out.
+"""Playback into a single machine with its controls: recorded terminal voltage and angle in, P and Q out.
 
-The machine stands at a bus between two ideal sources. Their angles, theta plus and minus acos(V/E), make the
-recorded phasor V exp(j theta) of the terminal out of two constant EMFs E. The plant is that of every run, in
-model exchange: its states go on by the W-method ROS2 (Verwer et al. 1999: second order with any matrix, here
-that at rest, and L-stable, so that a time constant of a millisecond asks for no short steps), those of the
-sources follow the record, by a cubic spline between its points, one for each piece between two jumps. In a
-step with a jump it goes on as before up to an instant, and from there on as after.
+The machine is at a bus between two ideal sources. Their angles, theta plus and minus acos(V/E), produce the
+recorded phasor V exp(j theta) of the terminal from two constant EMFs E. The plant is that of every run, in
+model exchange: its states are integrated by the W-method ROS2 (Verwer et al. 1999: second order with any
+matrix, here that at the equilibrium, and L-stable, so a time constant of a millisecond needs no short steps).
+The source angles follow the record by cubic splines, one for each interval between two jumps. A step with a
+jump uses the spline before it up to the jump, and the one after it from there on.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ _MOST_V = 1.9  #: over the voltage at rest
 @dataclass(frozen=True, eq=False)
 class Terminal:
     """What was measured at a machine. V : pu of its bus. angle : rad, to a frame of rated frequency. P, Q :
-    pu of the case's base, out of the machine. before : points at the start that are at rest."""
+    pu of the case's base, out of the machine. before : points of the steady state at the start."""
 
     step_s: float
     V: Array
@@ -59,11 +59,11 @@ def terminal_of(record: Record, case: Case, machine: str, rest_s: float) -> Term
     """Return voltage, angle, P and Q at a machine of a record: of the channels at `machine`, at its bus, and
     at the branch that alone leads away from it.
 
-    rest_s : at the start of the record, s, at rest: its means are the operating point.
+    rest_s : duration of the steady state at the start, s: its means are the operating point.
 
     Raises
     ------
-    RecordError : no such machine, something that was not measured, a record too short.
+    RecordError : no such machine, a missing measurement, a record too short.
     """
     names = [m.name for m in case.machines]
     if machine not in names:
@@ -180,7 +180,7 @@ class Bench:
         self.power0 = complex(np.mean(terminal.P[first]), np.mean(terminal.Q[first]))
 
     def alone(self, values: Mapping[str, float], power: complex) -> Case:
-        """Return the case of the machine alone, with `values` by path, at P + jQ."""
+        """Return the case of the single machine, with `values` by path, at P + jQ."""
         document = self._case.document()
         row = dict(document["machines"][self.machine])
         row |= {"bus": _BUS, "V_pu": self.V0, "slack": False, "area": 1}
@@ -216,13 +216,14 @@ class Bench:
         power: complex | None = None,
         jumps: Mapping[int, float] | None = None,
     ) -> Array:
-        """Return P and Q (points, 2), pu of the case's base, with `values` by path, at rest at `power`.
+        """Return P and Q (points, 2), pu of the case's base, with `values` by path, from the equilibrium at
+        `power`.
 
         jumps : point -> share of the step after it at which the voltage jumps from there to the next.
 
         Raises
         ------
-        CaseError : values that the case refuses, or with which no control rests there.
+        CaseError : values that the case rejects, or with which a control has no equilibrium there.
         """
         case = self.alone(values, self.power0 if power is None else power)
         point = operating_point(case)

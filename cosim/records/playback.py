@@ -1,4 +1,4 @@
-"""A record in place of a signal: what a user measured, or made up, is sent while the flag is up."""
+"""A record in place of a signal: the values of a user are sent while the flag says valid."""
 
 from __future__ import annotations
 

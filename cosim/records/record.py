@@ -1,4 +1,4 @@
-"""A record: named channels with quantity, unit and terminal on one even time axis, frozen."""
+"""A read-only record: named channels with quantity, unit and terminal on one uniform time axis."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _STILL = 1e-12  # of the largest value of a channel: less than this is the round
 
 
 class RecordError(UserError):
-    """A record that cannot be read, or is not enough for what is asked: what was found, what would do."""
+    """A record that cannot be read or is not sufficient: the content, and what is required."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Channel:
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """Measurements on an even time axis.
+    """Measurements on a uniform time axis.
 
     time_s : (points,), from 0. values : (points, channels), angles unwrapped, no gaps. channels : their
     table. start : time of the first point as the source has it ("" where it has none). notes : what was
@@ -106,14 +106,14 @@ class Record:
         return names
 
     def of(self, terminal: str, quantity: str) -> Array | None:
-        """Return what was measured of a quantity at a terminal, (points,); None where it was not."""
+        """Return the measurements of a quantity at a terminal, (points,); None if there are none."""
         if terminal not in self.terminals:
             raise RecordError(f"{self.source}: no terminal {terminal!r}; {nearest(terminal, self.terminals)}")
         name = self.terminals[terminal].get(quantity)
         return None if name is None else self[name]
 
     def still(self) -> tuple[str, ...]:
-        """Return the channels that never move."""
+        """Return the constant channels."""
         span = np.ptp(self.values, axis=0)
         size = np.max(np.abs(self.values), axis=0)
         return tuple(
@@ -159,13 +159,13 @@ class Record:
 
 
 def deviation_hz(frequency: Array, rated_hz: float, what: str) -> Array:
-    """Return a frequency less the rated one, Hz: of values near it, or as they are of values near 0.
+    """Return a frequency minus the rated one, Hz; values near 0 are taken as deviations already.
 
     what : the channel, for the message.
 
     Raises
     ------
-    RecordError : a rated frequency that is none, or another than that of the values.
+    RecordError : an invalid rated frequency, or one that differs from that of the values.
     """
     if not 0.0 < rated_hz < np.inf:
         raise RecordError(f"{what}: a rated frequency of {rated_hz:g} Hz, allowed: above 0")

@@ -1,4 +1,4 @@
-"""The signals of a record that swing: of one quantity, at an even rate, and their strongest combinations."""
+"""Oscillating signals of a record: one quantity at a uniform rate, and their strongest combinations."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ _LEAST_PERIODS = 2.0  # of the lower end of the band
 
 @dataclass(frozen=True, eq=False)
 class Swings:
-    """What swings in a record.
+    """The oscillating signals of a record.
 
     names, terminals : of the signals. unit : theirs. raw : (points, signals). values : without slow motion.
     combined : (points, combinations), of unit size in the band. weights : (combinations, signals), combined =
-    values weights^T. patterns : weights, and of the combinations that are hardly more than noise. band_hz :
-    looked at.
+    values weights^T. patterns : weights, also of combinations that are hardly more than noise. band_hz :
+    analysed.
     """
 
     names: tuple[str, ...]
@@ -62,14 +62,14 @@ def swings_of(
     quantity: str | None = None,
     of: Sequence[str] = (),
 ) -> Swings:
-    """Return the signals of the best quantity that was measured, or of `quantity`, or the channels `of`.
+    """Return the signals of the best measured quantity, or of `quantity`, or the channels `of`.
 
-    Of speeds, frequencies and angles at three places or more their mean is taken out. Angles are taken as
-    frequencies, by their slope.
+    From speeds, frequencies and angles at three places or more their mean is subtracted. Angles are converted
+    to frequencies by their slope.
 
     Raises
     ------
-    RecordError : no such channel, none that moves, a rate or length that does not show the band.
+    RecordError : no such channel, only constant ones, a rate or length insufficient for the band.
     """
     low, high = band_hz
     _require_shown(record, low, high)
@@ -170,9 +170,9 @@ def _coarse(record: Record, names: set[str], band_hz: tuple[float, float]) -> bo
 
 
 def without_slow_motion(values: Array, step_s: float, band_hz: tuple[float, float]) -> Array:
-    """Return values (points, signals) without what is slower than a band, by a filter of zero phase.
+    """Return values (points, signals) without motion slower than a band, by a zero-phase filter.
 
-    Near its ends the filter bends what swings steadily there: take lines out before (`forced.without`).
+    The filter distorts steady oscillations near the ends: remove lines first (`forced.without`).
     """
     return _passed(values, step_s, (0.8 * band_hz[0], None))
 

@@ -1,4 +1,4 @@
-"""Swings followed over the parts of a long record: how damped through the day, forced from when to when."""
+"""Oscillations tracked over the parts of a long record: damping over the day, and forced intervals."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Part:
 
 @dataclass(frozen=True)
 class Track:
-    """One swing through the parts of a record. swings : number of the part -> what it was there."""
+    """One oscillation through the parts of a record. swings : number of the part -> the oscillation there."""
 
     swings: Mapping[int, Swing]
 
@@ -44,13 +44,13 @@ class Track:
 
     @property
     def mode(self) -> str:
-        """Mode of the case that it is called in most parts; "" for none."""
+        """Mode of the case assigned in most parts; "" for none."""
         names = [s.mode for s in self.swings.values()]
         return max(dict.fromkeys(names), key=names.count)
 
     @property
     def estimates(self) -> dict[int, Estimate]:
-        """Number of the part -> estimate of the first method, where there is one."""
+        """Number of the part -> estimate of the first method, if there is one."""
         return {k: s.estimates[0] for k, s in self.swings.items() if s.estimates}
 
     @property
@@ -111,15 +111,15 @@ def trend(
     channels: Sequence[str] = (),
     modes: Sequence[Mode] = (),
 ) -> Trend:
-    """Meter each part of a record and follow its swings from part to part.
+    """Analyse each part of a record and track its oscillations from part to part.
 
-    pieces : of `read_pieces`, read one after the other. A swing goes on where both are the same mode of the
-    case, or near in frequency with shapes less than 45 degrees apart; a forced one is never a mode's. The
-    other arguments are those of `meter`.
+    pieces : of `read_pieces`, read one after the other. Two oscillations are the same if they are one mode of
+    the case, or near in frequency with shapes less than 45 degrees apart; a forced one is never matched to a
+    mode. The other arguments are those of `meter`.
 
     Raises
     ------
-    RecordError : no part can be metered; what the first one lacks is said.
+    RecordError : no part can be analysed; states the reason of the first one.
     """
     parts: list[Part] = []
     tracks: list[dict[int, Swing]] = []

@@ -1,9 +1,9 @@
-"""Design a detector's patterns from a grid: how right signals move together after its disturbances.
+"""Design a detector's patterns from a grid: the common motion of correct signals after disturbances.
 
 python -m interarea.cosim.screen.detector_design CASE CONTROLLER SIGNAL SIGNAL SIGNAL ... --out FILE.json
 
-Runs without wrong signals at some operating points give the subspace of windows, runs of other lengths
-at points between them the threshold: nothing is judged by what it was made of.
+Runs without wrong signals at some operating points give the subspace of windows; runs of other lengths at
+intermediate points give the threshold. No run serves for both.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def design_detector(
 ) -> DetectorDesign:
     """Return a detector for outputs of a plant that are frequencies (pu), three of them or more.
 
-    noise_pu : standard deviation of each frame, which is added to what the runs give.
+    noise_pu : standard deviation of the noise that is added to each frame of the runs.
 
     Raises
     ------
@@ -101,7 +101,7 @@ class _RightRun:
     stop_s: float = _STOP_S
 
     def document(self) -> dict[str, Any]:
-        """Return it as a scenario; case and controller are given to it as objects."""
+        """Return the run as a scenario, without case and controller, which are passed as objects."""
         return {"case": self.case, "stop_s": self.stop_s, "event": [self.event]}
 
 
@@ -153,7 +153,7 @@ def _curves(
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """Design a detector and write its file; 2 for a user's mistake."""
+    """Design a detector and write its file; returns 2 for a user error."""
     parser = argparse.ArgumentParser(description="design a detector of wrong signals from runs of a grid")
     parser.add_argument("case", help="bundled case or case file")
     parser.add_argument("controller", help="that acts in the runs")

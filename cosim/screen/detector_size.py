@@ -1,7 +1,7 @@
-"""How many directions a detector's patterns keep: as many as name most wrong signals put into right runs.
+"""Number of directions of a detector's patterns: the one that identifies most of the inserted wrong signals.
 
-With too few the right signals of a large grid leave the space themselves, so that the threshold is high;
-with too many a wrong signal lies in it. The best number grows with the signals: 12 for four speeds of two
+With too few directions the correct signals of a large grid leave the space, so the threshold is high; with
+too many a wrong signal lies in the space. The best number grows with the signals: 12 for four speeds of two
 areas, 40 for ten of New England.
 """
 
@@ -40,8 +40,8 @@ _WRONGS: tuple[Callable[[Array, int], Array], ...] = (
 def patterns_of(seen: Sequence[Array], judged: Sequence[Array], floor: float, event: int) -> Patterns:
     """Return the patterns of the runs `seen`, with the best number of directions; `judged` set the threshold.
 
-    seen, judged : (signals, stamps) of each run with right signals. floor : see `basis_of`. event : stamp of
-    the disturbance. `alone` has no limit yet.
+    seen, judged : (signals, stamps) of each run with correct signals. floor : see `basis_of`. event : stamp
+    of the disturbance. `alone` has no limit yet.
     """
     signals = len(seen[0])
     best: tuple[int, Patterns] | None = None
@@ -57,7 +57,7 @@ def patterns_of(seen: Sequence[Array], judged: Sequence[Array], floor: float, ev
 
 
 def rightly_named(judged: Sequence[Array], patterns: Patterns, event: int) -> int:
-    """Return how many wrong signals, put into runs, are named, less those in whose place another is."""
+    """Return how many inserted wrong signals are identified, minus those for which another is named."""
     count = 0
     for who, curves in _wrong(judged, event):
         score, suspect = scores_and_suspects(curves, patterns)

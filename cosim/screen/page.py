@@ -32,16 +32,16 @@ SHOWN = 300  #: disturbances on the page; all are in the files beside it
 
 @dataclass(frozen=True)
 class Explorer:
-    """The page beside a screening on which its disturbances can be dragged.
+    """The interactive page of a screening, with adjustable disturbances.
 
-    file : its name; "" where there is none, and `why`.
+    file : its name; "" if there is none, for the reason `why`.
     """
 
     file: str = ""
     why: str = ""
 
     def address(self, screening: Screening, place: str, outage: str) -> str:
-        """Return what opens a disturbance without controller; "" where no state of the page is it."""
+        """Return the URL that opens a disturbance without controller; "" if the page cannot represent it."""
         if not self.file or outage:
             return ""
         if screening.kind == "trip":
@@ -54,7 +54,7 @@ class Explorer:
 
 
 def write_grid(screening: Screening, folder: Path, cache: Path) -> Explorer:
-    """Write `explorer.html` of the grid that is screened; where no page holds it there is none, and why."""
+    """Write `explorer.html` of the screened grid, or return why no page can simulate it."""
     path = folder / "explorer.html"
     subject, why = write_where_held(lambda: screening.sweep().base, path, cache)
     return Explorer("" if subject is None else path.name, why)
@@ -65,7 +65,7 @@ def write_screening(
 ) -> Path:
     """Write `screen.html`, `screen.csv` and `screen.json` into `folder`; return the page.
 
-    explorer : what its places open, from `write_grid`.
+    explorer : page that its places open, from `write_grid`.
     """
     rows = [asdict(one) for one in result]
     for row in rows:  # JSON has no infinity: as long as was tried

@@ -1,4 +1,4 @@
-"""What a screening runs: a disturbance at each place of a grid, as a sweep; and what it shows."""
+"""Runs of a screening: a disturbance at each place of a grid, as a sweep; and their results."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ class Screening:
 
     kind : "fault": at each of `buses` in turn (default: all) through 0.0001j pu, for `clearing_s`, nothing
         opened; "trip": each of `branches` (default: all in service) opens for good.
-    outages : branches that are out before, one at a time, besides the grid as it is.
+    outages : branches that are out before the disturbance, one at a time, besides the unchanged grid.
     controllers : besides none. longest_s : of the clearing times that are searched, to `tolerance_s`.
-    step_s : communication step; None: 40 ms, with a controller what its loop needs. solver_step_s : longest
-        step of the plant; None: its own.
+    step_s : communication step; None: 40 ms, with a controller the step that its loop needs. solver_step_s :
+        longest step of the plant; None: its own.
 
     Raises SweepError for a solver step that no plant takes.
     """
@@ -135,10 +135,9 @@ class Screening:
 
 @dataclass(frozen=True)
 class Screened:
-    """What one disturbance did under one controller; numbers are None where the run failed.
+    """Result of one disturbance with one controller; numbers are None if the run failed.
 
-    verdict : whether synchronism was kept. came_to : what the run came to (`results.verdict`), "" where it
-    failed.
+    verdict : whether synchronism was kept. came_to : verdict of the run (`results.verdict`), "" if it failed.
     """
 
     place: str
@@ -166,7 +165,7 @@ def run_screening(
     cache: Path | None = None,
     progress: Callable[[Progress], object] | None = None,
 ) -> list[Screened]:
-    """Run what is missing of a screening into `folder`; return what each disturbance did, worst first.
+    """Run the missing runs of a screening into `folder`; return the result of each disturbance, worst first.
 
     clearing : search the clearing times too. Parameters as of `run_sweep`.
 
@@ -213,9 +212,9 @@ def _critical(rows: pd.DataFrame, screening: Screening) -> dict[tuple[str, str, 
 def worst_first(
     rows: pd.DataFrame, screening: Screening, critical: Mapping[tuple[str, str, str], float | None]
 ) -> list[Screened]:
-    """Return what the runs did: those that lost synchronism, those that failed, then by angle.
+    """Return the results in order: runs that lost synchronism, failed runs, then the others by angle.
 
-    The run without controller decides; the others of its place follow it.
+    The run without controller decides; the other runs of its place follow it.
     """
     result = [_screened(row, screening, critical) for row in rows.to_dict("records")]
     groups: dict[tuple[str, str], list[Screened]] = {}

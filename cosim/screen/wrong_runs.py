@@ -1,4 +1,4 @@
-"""Runs in which one measured signal is wrong while its flag is up: which kinds, after which disturbances."""
+"""Runs with one measured signal wrong but flagged as valid: kinds and disturbances."""
 
 from __future__ import annotations
 
@@ -32,7 +32,8 @@ class WrongRun:
     wrong : signal and its table of `signal_faults` without start (of a swap `other` is a name); None: all
         are right. detector : table of a scenario; None: none.
 
-    A swapped signal and its other travel through one concentrator with all the rest: a channel holds one.
+    All signals of a run with swapped signals pass through one concentrator, because a channel has only one
+    signal.
     """
 
     case: str
@@ -45,7 +46,7 @@ class WrongRun:
     interval_s: float = INTERVAL_S
 
     def document(self) -> dict[str, Any]:
-        """Return it as a scenario; case and controller are given to it as objects."""
+        """Return the run as a scenario, without case and controller, which are passed as objects."""
         document: dict[str, Any] = {"case": self.case, "stop_s": self.stop_s, "event": list(self.events)}
         if self.controller is None:
             return document
@@ -73,9 +74,9 @@ class WrongRun:
 
 @dataclass(frozen=True)
 class Signals:
-    """What a controller sees that can be compared, and what is only compared.
+    """Speeds that a controller uses and a detector can compare, and witnesses.
 
-    latency_s_of : speed among the controller's inputs -> latency, s. witnesses : speeds that it does not see.
+    latency_s_of : speed among the controller's inputs -> latency, s. witnesses : speeds that it does not use.
     """
 
     latency_s_of: Mapping[str, float]
@@ -88,13 +89,13 @@ class Signals:
 
 
 def signals_of(case: Case, controller: Judged, compared: Sequence[str] = ()) -> Signals:
-    """Return the speeds that a controller sees, and witnesses: of the largest machines of each area in turn.
+    """Return the speeds that a controller uses, and witnesses: the largest machines of each area in turn.
 
-    compared : what a detector was designed for; witnesses are those of it that the controller does not see.
+    compared : signals of the detector's design; the witnesses are those that the controller does not use.
 
     Raises
     ------
-    ScenarioError : a controller that sees no speed; a detector that does not compare one that it sees.
+    ScenarioError : a controller that uses no speed; a detector that does not compare one of its speeds.
     """
     speeds = [f"{m.name}_dw" for m in case.machines]
     own = {s for names in own_signals(controller.outputs, controller.inputs).values() for s in names}
@@ -136,7 +137,7 @@ def _by_area(case: Case, signals: Sequence[str]) -> list[str]:
 def disturbances_of(case: Case, place: FaultPlace) -> dict[str, list[dict[str, Any]]]:
     """Return name -> events: nothing; a pulse; a fault of 8 cycles; a trip.
 
-    The pulse is one of voltage, on the largest machine that regulates; of power, where none does.
+    The pulse acts on the voltage of the largest regulating machine, or on power if none regulates.
     """
     regulating = [m for m in case.machines if m.exciter.kind != "constant"]
     largest = max(regulating or case.machines, key=lambda m: m.base_mva).name
@@ -151,7 +152,7 @@ def disturbances_of(case: Case, place: FaultPlace) -> dict[str, list[dict[str, A
 
 
 def fault_place(table: DesignTable) -> FaultPlace:
-    """Return where a design's faults are: the first of its acceptance with a trip, else its own.
+    """Return the place of a design's faults: the first of its acceptance with a trip, else its own.
 
     Raises
     ------

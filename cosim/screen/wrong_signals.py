@@ -1,8 +1,7 @@
-"""What wrong signals do to a loop, with and without a detector: every kind, signal, disturbance and point.
+"""Effect of wrong signals on a loop with and without a detector: every kind, signal, disturbance and point.
 
-A run ends in a verdict (`results.verdict`). What breaks a certificate of wrong signals is a run with the
-detector that loses synchronism, or is left with a swing that does not fall, where the grid without control
-does better.
+Each run has a verdict (`results.verdict`). The certificate fails if a run with the detector loses synchronism
+or keeps a swing that does not decay, where the grid without control does better.
 """
 
 from __future__ import annotations
@@ -36,11 +35,12 @@ NAMED_SHARE = 0.99  #: of the isolations, of the right signal
 
 @dataclass(frozen=True)
 class WrongRow:
-    """One run to `stop_s`. verdict : its first words; left_pu : span of what decides it in the last window.
+    """One run to `stop_s`. verdict : its first words; left_pu : span of the deciding signal in the last
+    window.
 
-    detected_s : from when the signal is wrong to its isolation; None: never. others : isolated though right.
-    stopped_s : from then to where a swing that stands took all signals out; None: never. without : verdict
-    of the grid without control after the same disturbance.
+    detected_s : time from the start of the fault to the isolation of the signal; None: never. others :
+    correct signals isolated. stopped_s : time until a sustained swing withheld all signals; None: never.
+    without : verdict of the grid without control after the same disturbance.
     """
 
     kind: str
@@ -59,7 +59,7 @@ class WrongRow:
 
     @property
     def stable(self) -> bool:
-        """Whether synchronism is kept and what is left falls."""
+        """Whether synchronism is kept and the remaining swing decays."""
         return self.verdict in STABLE
 
     @property
@@ -87,7 +87,7 @@ class SignalOut:
 
 @dataclass(frozen=True)
 class WrongCertificate:
-    """What came out. detector : its table in the scenario."""
+    """The result. detector : its table in the scenario."""
 
     controller: str
     case: str
@@ -99,18 +99,19 @@ class WrongCertificate:
 
     @property
     def isolations(self) -> tuple[int, int]:
-        """How many signals were isolated, and how many of these were the wrong one."""
+        """Number of isolated signals, and how many of these were the wrong one."""
         right = sum(r.detected_s is not None for r in self.rows)
         return right + sum(len(r.others) for r in self.rows), right
 
     @property
     def stops(self) -> int:
-        """In how many runs a swing stood that no test named, and all signals were taken out."""
+        """Number of runs with a sustained swing that no test identified, in which all signals were
+        withheld."""
         return sum(r.stopped_s is not None for r in self.rows)
 
     @property
     def violations(self) -> tuple[str, ...]:
-        """What breaks the certificate, a line each."""
+        """Violations of the certificate, a line each."""
         lines = [str(r) for r in self.rows if r.worse and (r.detector or r.kind == RIGHT)]
         lines += [
             f"{r}: false alarm, {' and '.join(r.others) or 'all signals'} isolated"
@@ -129,7 +130,7 @@ class WrongCertificate:
         return not self.violations
 
     def as_dict(self) -> dict[str, Any]:
-        """Return it as plain types."""
+        """Return the result as plain types."""
         every, right = self.isolations
         return {
             "controller": self.controller,
@@ -185,7 +186,7 @@ def _cells(rows: Sequence[WrongRow]) -> Iterator[str]:
 
 
 def points_of(case: Case) -> dict[str, Case]:
-    """Return the case, and a point no design has: 2 % more load, with a tie 50 MW more on it."""
+    """Return the case, and a point outside every design: 2 % more load, 50 MW more on a tie."""
     tie_mw = 0.0 if case.tie is None else 50.0
     words = "load +2 %" + (f", tie {tie_mw:+g} MW" if tie_mw else "")
     return {"base": case, words: operating_variant(case, load_scale=1.02, tie_flow_mw=tie_mw)}
@@ -204,7 +205,7 @@ def certify_wrong_signals(
     points: Mapping[str, Case] | None = None,
     progress: Callable[[float], object] = lambda share: None,
 ) -> WrongCertificate:
-    """Return what each kind of wrong signal does to a loop.
+    """Return the effect of each kind of wrong signal on a loop.
 
     A run that has not settled by `STOP_S`, and kept synchronism until then, is judged at `LONG_S`.
 

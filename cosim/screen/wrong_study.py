@@ -33,7 +33,7 @@ Report = Callable[[str, float], object]
 
 @dataclass(frozen=True)
 class Subject:
-    """A controller, the name that a scenario knows it by, its grid, and where the fault and the trip are."""
+    """A controller, its name in a scenario, its grid, and the places of the fault and the trip."""
 
     name: str
     controller: Judged
@@ -57,14 +57,14 @@ def study_wrong_signals(
     command: str = "",
     report: Report = lambda stage, share: None,
 ) -> dict[str, Any]:
-    """Run every kind of wrong signal on each controller into the folder `out`; return what its JSON holds.
+    """Run every kind of wrong signal on each controller in the folder `out`; return the content of its JSON.
 
-    A detector and a certificate that `out` holds of the same controller, grid and question are not made
-    again. kinds, disturbances : as of `certify_wrong_signals`. one_point : only that of the case.
+    Detectors and certificates in `out` of the same controller, grid and options are reused. kinds,
+    disturbances : as in `certify_wrong_signals`. one_point : only the point of the case.
 
     Raises
     ------
-    ScenarioError : a controller that sees no speed of a machine.
+    ScenarioError : a controller that uses no speed of a machine.
     """
     done: list[dict[str, Any]] = []
 
@@ -166,7 +166,7 @@ def _certificate(
 
 
 def summary_of(certificate: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the counts of a certificate's runs with one wrong signal, and its conclusion in words."""
+    """Return counts of a certificate's runs with one wrong signal, and its conclusion in words."""
     rows = runs_of(certificate)
     wrong, right = ([row for row in rows if (row.kind == RIGHT) is clean] for clean in (False, True))
     counts: dict[str, Any] = {"runs_of_each": sum(not row.detector for row in wrong)}
