@@ -76,16 +76,18 @@ def located(
     band_hz: tuple[float, float] = BAND_HZ,
     frequency_hz: float | None = None,
     at: Mapping[str, str] | None = None,
+    rated_hz: float = 60.0,
 ) -> Source:
     """Return the source of the largest oscillation in a band.
 
-    frequency_hz : of the oscillation; that of the largest peak in the powers. at : as `terminals_of`.
+    frequency_hz : of the oscillation; that of the largest peak in the powers. at, rated_hz : as in
+    `terminals_of`.
 
     Raises
     ------
     RecordError : no terminal with power, voltage and angle, no oscillation, or too few periods of it.
     """
-    terminals, notes = terminals_of(record, at)
+    terminals, notes = terminals_of(record, at, rated_hz)
     f = (
         frequency_hz
         if frequency_hz is not None
@@ -231,10 +233,13 @@ class Terminal:
     machine: bool
 
 
-def terminals_of(record: Record, at: Mapping[str, str] | None = None) -> tuple[list[Terminal], list[str]]:
+def terminals_of(
+    record: Record, at: Mapping[str, str] | None = None, rated_hz: float = 60.0
+) -> tuple[list[Terminal], list[str]]:
     """Return the terminals with sufficient measurements, and notes on the others.
 
-    at : terminal -> the terminal that has its voltage and angle, as ``branch[7-8]`` -> ``bus7``.
+    at : terminal -> the terminal that has its voltage and angle, as ``branch[7-8]`` -> ``bus7``. rated_hz :
+    of speeds in pu.
 
     Only powers of one unit can be compared: that of most machines, without machines that of most terminals.
     A terminal needs P (or V, I and both angles) and an angle (or a speed or frequency, whose integral is
@@ -243,7 +248,7 @@ def terminals_of(record: Record, at: Mapping[str, str] | None = None) -> tuple[l
     """
     terminals, notes = [], []
     for name in record.terminals:
-        terminal, missing = _terminal(record, name, (at or {}).get(name, name))
+        terminal, missing = _terminal(record, name, (at or {}).get(name, name), rated_hz)
         if terminal is not None:
             terminals.append(terminal)
         elif missing:
@@ -267,7 +272,7 @@ def _of_one_unit(terminals: Sequence[Terminal], notes: list[str]) -> list[Termin
     return [t for t in terminals if t.unit == unit]
 
 
-def _terminal(record: Record, name: str, place: str) -> tuple[Terminal | None, str]:
+def _terminal(record: Record, name: str, place: str, rated_hz: float) -> tuple[Terminal | None, str]:
     """Return a terminal, or None and what it lacks ("" where it has no power at all)."""
     voltage, angle = record.of(place, "voltage"), record.of(place, "voltage angle")
     P, Q = record.of(name, "active power"), record.of(name, "reactive power")
@@ -283,7 +288,7 @@ def _terminal(record: Record, name: str, place: str) -> tuple[Terminal | None, s
     if voltage is None or not np.min(voltage) > 0.0:
         return None, "voltage above 0"
     if angle is None:
-        angle = _integrated(record, place)
+        angle = _integrated(record, place, rated_hz)
     if angle is None:
         return None, "angle, frequency or speed"
     return Terminal(name, P, Q, np.log(voltage), angle, unit, machine), ""
@@ -309,11 +314,11 @@ def _unit_of(record: Record, terminal: str, quantity: str) -> str:
     return next((c.unit for c in record.channels if c.name == name), "")
 
 
-def _integrated(record: Record, place: str) -> Array | None:
-    """Return the angle (rad) that a frequency or speed adds up to; of a speed in pu at 60 Hz."""
+def _integrated(record: Record, place: str, rated_hz: float) -> Array | None:
+    """Return the angle (rad) that a frequency, or a speed in pu of `rated_hz`, adds up to."""
     frequency, speed = record.of(place, "frequency"), record.of(place, "speed")
     if frequency is None and speed is None:
         return None
-    hertz = frequency if frequency is not None else 60.0 * np.asarray(speed)
+    hertz = frequency if frequency is not None else rated_hz * np.asarray(speed)
     turned = 2.0 * np.pi * record.step_s * np.asarray(hertz - np.mean(hertz))
     return np.concatenate([[0.0], np.cumsum(0.5 * (turned[1:] + turned[:-1]))])

@@ -63,6 +63,16 @@ def test_the_terminal_where_energy_comes_in_is_named_and_the_ends_of_a_line_agre
     assert apart < 0.01
 
 
+def test_the_speed_of_a_machine_counts_at_the_rated_frequency_of_its_grid() -> None:
+    swing = np.sin(2 * np.pi * F * TIME)
+    values = np.column_stack([2.0 * swing, np.full(len(TIME), 1.0) + 1e-9 * swing, 1e-3 * swing])
+    names = (("P", "active power", "pu"), ("V", "voltage", "pu"), ("w", "speed", "pu"))
+    record = Record("run", TIME, values, tuple(Channel(n, q, unit, "G1") for n, q, unit in names))
+    for rated_hz in (50.0, 60.0):  # P into the bus: the mean of -2 sin x 2 pi f 1e-3 sin
+        (flow,) = located(record, frequency_hz=F, rated_hz=rated_hz).flows
+        assert flow.slope == pytest.approx(-2e-3 * np.pi * rated_hz, rel=0.01)
+
+
 def test_powers_of_another_unit_are_not_compared() -> None:
     """In pu of 100 MVA the largest inflow would be the least of all."""
     MW = phasors(ENDS)
