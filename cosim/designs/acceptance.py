@@ -1,12 +1,13 @@
-"""Whether a controller keeps a grid together and calms it down, and for how long a fault.
+"""Acceptance: whether a controller keeps synchronism and damps the grid after faults, and up to which
+duration.
 
-Eigenvalues do not show it: a controller with good ones can add to the first swing after a fault and lose a
-grid that holds without it, most of all where exciters have ceilings. So every combination of operating
-point, exciter ceiling, kind of loads, fault, lost signal and latency is run through the non-linear plant,
-beside the same without control, as long as the slowest root of the linear loop in which it ends asks for
-(`fault_loops`), and judged by the rule of every run (`results.verdict`). A run that neither loses synchronism
-nor decays is run on, to four minutes at most, before that is held against a controller. For each point,
-ceiling, kind and fault the clearing time that is just survived is searched for both.
+Eigenvalues do not show it: a controller with good ones can add to the first swing after a fault and lose
+synchronism where the grid without control keeps it, above all where exciters have ceilings. Every combination
+of operating point, exciter ceiling, kind of loads, fault, lost signal and latency is therefore run on the
+non-linear plant, with and without control. The slowest root of the linear loop after the fault determines the
+duration (`fault_loops`), and `results.verdict` the verdict. A run that keeps synchronism but does not decay
+is continued, up to four minutes, before it counts against the controller. For each point, ceiling, kind and
+fault the longest survived clearing time is searched with and without control.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ from .first_swing import after_clearing
 
 @dataclass(frozen=True)
 class Setting:
-    """One case of the acceptance: where, under which ceiling, after which fault, with what missing."""
+    """One case of the acceptance: operating point, ceiling, loads, fault and lost signals."""
 
     point: str
     ceiling: tuple[float, float] | None
@@ -44,7 +45,7 @@ class Setting:
 
     @property
     def condition(self) -> Condition:
-        """What is lost and what is wrong of the signals; their common latency apart."""
+        """Lost and wrong signals, without the common latency."""
         return Condition("lost", self.lost) if self.wrong is None else wrong_condition(*self.wrong)
 
     def in_all(self, signals: Sequence[str]) -> Condition:
@@ -72,7 +73,7 @@ class Setting:
 
 @dataclass(frozen=True)
 class ClearingRow:
-    """Longest fault that keeps synchronism, cycles; None: as long as was tried."""
+    """Longest fault that keeps synchronism, cycles; None: the longest tried."""
 
     point: str
     ceilings: str
@@ -86,9 +87,9 @@ class ClearingRow:
 class Acceptance:
     """Result of the acceptance.
 
-    lost : kept without control only. gained : kept with control only, and decaying. standing : kept, but
-    nothing that decays though it does, or loses synchronism, without control, with verdict. loops : how many
-    linear loops the faults end in; unstable : those that are unstable and would be stable without control,
+    lost : synchronism kept only without control. gained : kept only with control, and decaying. standing :
+    kept but not decaying, with the verdict, where the run without control decays or loses synchronism. loops
+    : number of linear loops after the faults; unstable : those that are unstable but stable without control,
     with their root.
     """
 
@@ -141,11 +142,11 @@ def settings_of(
     signals: Sequence[str],
     loads: tuple[float, float] | None = None,
 ) -> Iterator[tuple[Setting, list[Setting]]]:
-    """Give each setting of an operating point without control and those with control that belong to it.
+    """Yield each setting of an operating point without control, with its settings with control.
 
     Raises
     ------
-    ScenarioError : `never_lost` names what is no signal of the controller.
+    ScenarioError : `never_lost` has a name that is not a signal of the controller.
     """
     try:
         table.check_signals(signals)
@@ -163,7 +164,7 @@ def settings_of(
 
 
 class Trial:
-    """Runs the settings of an acceptance in one grid, side by side: an operating point, ceilings, loads."""
+    """Runs the settings of an acceptance in one grid as batches: one operating point, ceilings and loads."""
 
     def __init__(
         self,
@@ -191,7 +192,8 @@ class Trial:
         return dict(zip(cycles, largest_angles, strict=True))
 
     def outcomes(self, ends: Mapping[Try, LoopEnd]) -> dict[Try, Outcome]:
-        """Return what each fault of `clear_cycles` came to, run as long as its linear loop asks for."""
+        """Return the outcome of each fault of `clear_cycles`; the linear loop determines the duration of the
+        run."""
         t = self.table
         runs = [self._run(each, t.clear_cycles) for each in ends]
         outcomes, longest_s = self._runs.outcomes_to_end(runs, list(ends.values()), t.lost_s)
@@ -230,7 +232,7 @@ def _signal_faults(condition: Condition, start_s: float) -> dict[str, dict[str, 
 
 
 def with_ceilings(case: Case, least: float, most: float) -> Case:
-    """Return `case` with these limits on the field voltage of every exciter that can have them, pu."""
+    """Return `case` with these limits on the field voltage (pu) of every exciter that has limits."""
     change = {
         m.name: {"exciter": {"Efd_min": least, "Efd_max": most}}
         for m in case.machines
@@ -256,7 +258,7 @@ def judge_acceptance(
     """Run every setting of `table` at its operating points, with the controller and without.
 
     clearing : search the clearing times too, at the first latency with the first signal lost.
-    progress : called with the share of the operating points and ceilings that is done.
+    progress : called with the completed share of the operating points and ceilings.
     """
     cases = table.looked_at(cases)
     places = list(product(cases, (None, *table.ceilings), (None, *table.loads)))
@@ -291,7 +293,7 @@ def clearing_times(
 
 
 def joined(parts: Sequence[Acceptance]) -> Acceptance:
-    """Return the acceptance of several operating points, each judged by itself."""
+    """Return the common acceptance of several operating points that were run separately."""
     values: dict[str, Any] = {name: sum(getattr(part, name) for part in parts) for name in ("cases", "loops")}
     for name in ("largest_angle_deg", "longest_s"):
         values[name] = max(getattr(part, name) for part in parts)

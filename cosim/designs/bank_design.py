@@ -1,4 +1,4 @@
-"""A bank as a design: its members, each a design of its own, and the proof for every sequence of losses."""
+"""A bank as a design: its members, each a separate design, and the proof for every sequence of losses."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ PROOF = "proof of switching"  #: the last step of `run_bank_design`
 
 
 def member_tables(table: DesignTable) -> dict[str, DesignTable]:
-    """Return member -> the design of it: first that of all signals. Guards are left to the supervisor.
+    """Return member -> its design, that of all signals first. The supervisor has the guard.
 
     Raises
     ------
-    ScenarioError : an actuator that sees none of a member's signals, or conditions of others.
+    ScenarioError : an actuator with none of a member's signals, or conditions of other signals.
     """
     assert table.bank is not None
     whole = table.model_copy(update={"bank": None, "guard": None})
@@ -95,7 +95,7 @@ def _member_table(table: DesignTable, member: MemberTable) -> DesignTable:
 
 
 def bank_steps(table: DesignTable) -> tuple[str, ...]:
-    """Return what `run_bank_design` goes through, by the names it tells."""
+    """Return the names of the steps of `run_bank_design`."""
     return (*(f"{name}: {step}" for name in member_tables(table) for step in DESIGN_STEPS), PROOF)
 
 
@@ -105,9 +105,9 @@ def run_bank_design(
     *,
     progress: Callable[[str, float, str], object] = lambda step, share, text: None,
 ) -> tuple[ControllerBank, tuple[str, ...]]:
-    """Design every member of a bank; return it, its switching proven, and what members miss of what is asked.
+    """Design every member of a bank; return the bank with its proof, and the requirements that members miss.
 
-    progress : called with one of `bank_steps`, the share of it that is done, and what is reached, in words.
+    progress : called with one of `bank_steps`, its completed share, and the present result in words.
 
     Raises
     ------
@@ -165,7 +165,8 @@ def bank_plants(table: DesignTable, cache: Path) -> dict[str, control.StateSpace
 def bank_worth(
     table: DesignTable, bank: ControllerBank, cache: Path, *, clearing: bool = False
 ) -> SignalWorth:
-    """Return what the signals from afar are worth, beside the member of the own machines' signals alone.
+    """Return the value of the remote signals, compared with the member that uses the own machines' signals
+    alone.
 
     clearing : clearing times of the design's acceptance too, of that member behind the guard of the bank.
     """
@@ -188,7 +189,7 @@ def bank_worth(
 
 
 def bank_margins(table: DesignTable, bank: ControllerBank, cache: Path) -> tuple[dict[str, Any], ...]:
-    """Return the margins of each signal, as `SignalMargin.as_dict`, while all are there."""
+    """Return the margins of each signal, as `SignalMargin.as_dict`, with no signal lost."""
     plants = {name: each.judged for name, each in family_plants(table, cache).items()}
     return tuple(margin.as_dict() for margin in signal_margins(plants, bank.acting(()).system))
 
@@ -201,17 +202,17 @@ def judged_bank(
     margins: Sequence[Mapping[str, Any]],
     faults: Mapping[str, Any] | None,
 ) -> ControllerBank:
-    """Return a bank with the design that judged it, and what was found, in its record."""
+    """Return a bank with its design and certificate in its record."""
     record = {**switching.as_dict(), "worth": worth.as_dict(), "margins": margins, "acceptance": faults}
     design = {**bank.design, "specification": design_record(table)}
     return replace(bank, design=design, certificate=plain(record))
 
 
 def judge_bank(table: DesignTable, bank: ControllerBank, cache: Path) -> list[FamilyRow]:
-    """Judge on every operating point the member that acts under each condition of the design.
+    """Evaluate, at every operating point, the member that acts under each condition of the design.
 
-    A condition in which a signal is lost is judged with the member that acts then, and under the same name
-    followed by "unnoticed" with the one that acts until the flag has fallen.
+    A condition with a lost signal is evaluated with the member that acts then, and, under the same name
+    followed by "unnoticed", with the member that acts until the loss is flagged.
     """
     plants = family_plants(table, cache)
     rows: list[FamilyRow] = []
@@ -235,8 +236,8 @@ def judge_bank(table: DesignTable, bank: ControllerBank, cache: Path) -> list[Fa
 def certify_bank(plant: control.StateSpace, bank: ControllerBank) -> SwitchingCertificate:
     """Return the switching certificate of a bank on a full plant (speeds in rad/s).
 
-    The Lyapunov matrix that comes with the bank is checked; one is sought where it brings none or its own
-    proves nothing for this plant.
+    The Lyapunov matrix of the bank is verified; a new one is searched if it has none or its own proves
+    nothing for this plant.
     """
     loop = BankLoop(plant, bank)
     P = bank.lyapunov

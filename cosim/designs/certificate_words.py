@@ -1,4 +1,5 @@
-"""A certificate's result for losses, latencies and faults, in one line; and what it does not cover."""
+"""A certificate's result for losses, latencies and faults in one line, and the list of what it does not
+cover."""
 
 from __future__ import annotations
 
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class Judging(Protocol):
-    """What of a design says what a certificate covers."""
+    """The properties of a design that determine what a certificate covers."""
 
     @property
     def acceptance(self) -> AcceptanceTable | None: ...
@@ -45,7 +46,7 @@ def not_covered(table: Judging, signals: Sequence[str], acceptance: Mapping[str,
 
 
 def bank_not_covered(table: Judging, acceptance: Mapping[str, Any] | None) -> str:
-    """Return in words what the switching certificate of a bank, and its faults by `table`, say nothing of."""
+    """Return in words what the switching certificate of a bank, and its faults by `table`, do not cover."""
     linear = ["late signals and other operating points in the proof of switching"]
     return "; ".join([*_faults_left_out(table, acceptance), *linear, _wrong(table)])
 
@@ -74,7 +75,7 @@ def _faults_left_out(table: Judging, acceptance: Mapping[str, Any] | None) -> li
 
 
 def drive_in_words(drive: float, predicted: str, faults: Sequence[Mapping[str, Any]]) -> str:
-    """Return the drive after a fault in a line, with what follows from it unless a run contradicts that.
+    """Return the drive after a fault in a line, with its prediction unless a run contradicts it.
 
     >>> drive_in_words(0.01, "kept", [{"synchronism": True}])
     'drive after the fault 0.010 pu: synchronism kept (predicted)'
@@ -91,7 +92,7 @@ def drive_in_words(drive: float, predicted: str, faults: Sequence[Mapping[str, A
 def in_words(result: Mapping[str, Any] | None) -> str:
     """Return the acceptance of a certificate in one line: counts, and the first failure.
 
-    result : as `Acceptance.as_dict` gives it; None: never judged.
+    result : of `Acceptance.as_dict`; None: not run.
     """
     if result is None:
         return "non-linear faults: not computed"
@@ -130,7 +131,7 @@ def first_failures(certificate: Mapping[str, Any] | None) -> str:
 
 
 def kept_certificate(name: str, case_hash: str) -> dict[str, Any] | None:
-    """Return what a controller of the study holds at two points of `robust_latency`; None of any other.
+    """Return the record of a study controller at two points of `robust_latency`; None for any other.
 
     Found by ``benchmarks/control/study_certificates.py`` for the case of that design: nothing is known of
     another.

@@ -1,7 +1,7 @@
-"""Alternatives of a design side by side: one table row each, and four figures.
+"""Comparison of the alternatives of a design: one table row each, and four figures.
 
-Root loci over latency, gain of the controllers, sensitivity of the loops, effort against damping: what one
-has to see to choose between controllers that all pass.
+Root loci over latency, gain of the controllers, sensitivity of the loops, effort against damping: the basis
+for a choice between controllers that all pass.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ HEADER = ("alternative", "order", "worst swing", "inter-area", "effort", "fastes
 def compare(
     table: DesignTable, systems: Mapping[str, control.StateSpace], cache: Path
 ) -> tuple[Alternative, ...]:
-    """Judge every controller on the family of a design, exactly."""
+    """Evaluate every controller on the family of a design, with exact latency."""
     return tuple(Alternative(name, K, judge(table, K, cache)) for name, K in systems.items())
 
 
@@ -140,7 +140,7 @@ def gain_figure(alternatives: tuple[Alternative, ...]) -> Figure:
 
 
 def sensitivity_figure(G: control.StateSpace, alternatives: tuple[Alternative, ...], point: str) -> Figure:
-    """Draw the largest singular value of (I - G K)^-1 with every signal there at once, stable loops only."""
+    """Draw the largest singular value of (I - G K)^-1 without latency or loss, stable loops only."""
     curves = {}
     for one in alternatives:
         if np.linalg.eigvals(closed_loop_matrix(G, one.system)).real.max() < ZERO_EIGENVALUE:

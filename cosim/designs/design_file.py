@@ -1,4 +1,4 @@
-"""Robust design and certification from a TOML file: operating points, losses, latencies, what is asked."""
+"""Robust design and certification from a TOML file: operating points, losses, latencies, requirements."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ class DesignTable(Table):
 
     @property
     def grid(self) -> Case:
-        """The case of the design, before its operating points change it."""
+        """The case of the design, without the changes of its operating points."""
         return self._grid if self._grid is not None else load_case(self.case)
 
     def on(self, case: Case | str | Path) -> DesignTable:
@@ -139,7 +139,7 @@ class DesignTable(Table):
 
     @property
     def seen(self) -> tuple[str, ...]:
-        """Names of the controller's inputs, with that which its guard follows."""
+        """Names of the controller's inputs, and of the signal that its guard follows."""
         follows = () if self.guard is None or self.guard.follows is None else (self.guard.follows,)
         return tuple(dict.fromkeys((*self.signals, *follows)))
 
@@ -194,7 +194,7 @@ class DesignTable(Table):
         return tuple(condition_of_many(code, self.signals, remote=self.remote) for code in self.conditions)
 
     def spec(self) -> RobustSpec:
-        """Return what the optimisation is to do."""
+        """Return the specification of the optimisation."""
         return RobustSpec(
             self.signals,
             self.actuators,
@@ -231,7 +231,7 @@ def _controller(name: str) -> Controller:
 
 
 def load_design(path: str | Path) -> DesignTable:
-    """Read and check a design file, or the bundled one of that name. A case beside it is meant by its name.
+    """Read and check a design file, or the bundled one of that name. A case name may be a file beside it.
 
     Raises ScenarioError naming file, key, value and what is allowed.
     """
@@ -256,7 +256,7 @@ def design_of(keys: Mapping[str, Any], *, where: str = "design") -> DesignTable:
 
 @dataclass(frozen=True)
 class Designed:
-    """A certified controller, and the controllers of the starts that were tried on the way to it."""
+    """A certified controller, and the controllers of the other starts of the search."""
 
     controller: Controller
     tried: Mapping[str, control.StateSpace]
@@ -269,10 +269,10 @@ def run_design(
     start: control.StateSpace | None = None,
     progress: Callable[[str, float, str], object] = lambda step, share, text: None,
 ) -> Designed:
-    """Design the controller of `table`; its certificate, on full linear plants with exact latency, too.
+    """Design the controller of `table` and certify it on full linear plants with exact latency.
 
-    start : a controller that the search begins from too, in place of the one that the design names.
-    progress : called with one of `DESIGN_STEPS`, the share of it that is done, and what is reached, in words.
+    start : an additional start of the search, instead of the one that the design names. progress : called
+    with one of `DESIGN_STEPS`, its completed share, and the present result in words.
 
     Raises
     ------
@@ -323,7 +323,7 @@ def run_design(
 
 
 def design_record(table: DesignTable) -> dict[str, Any]:
-    """Everything of a design as JSON; what is asked without a bound is left out, JSON having no infinity."""
+    """A design as JSON values; infinite requirements are omitted, because JSON has no infinity."""
     data = table.model_dump(mode="json", exclude_none=True)
     data["ask"] = {key: value for key, value in data["ask"].items() if value != float("inf")}
     return data
@@ -336,9 +336,9 @@ def judge(
     *,
     progress: Callable[[float], object] = lambda share: None,
 ) -> FamilyCertificate:
-    """Judge a controller (speeds in rad/s) on the family of a design and by what it asks, no fault run.
+    """Evaluate a controller (speeds in rad/s) on the family of a design by its requirements, without faults.
 
-    progress : called with the share that is done.
+    progress : called with the completed share.
     """
     plants = family_plants(table, cache)
     judged = judge_family(
@@ -358,7 +358,7 @@ def judge(
 
 
 def steps_of(table: DesignTable, *, acceptance: bool) -> list[str]:
-    """Return what `certify` goes through, by the names it tells."""
+    """Return the names of the steps of `certify`."""
     linear, faults, accepting = CERTIFICATE_STEPS
     steps = {
         linear: True,
@@ -376,10 +376,10 @@ def certify(
     acceptance: bool = False,
     progress: Callable[[str, float], object] = lambda step, share: None,
 ) -> FamilyCertificate:
-    """Judge a controller on the family of a design and by what it asks; its fault is run at every point.
+    """Evaluate a controller on the family of a design by its requirements; its fault is run at every point.
 
     acceptance : every case of the design's acceptance too, clearing times included (minutes).
-    progress : called with one of `steps_of` and the share of it that is done.
+    progress : called with one of `steps_of` and its completed share.
     """
     linear, faults, accepting = CERTIFICATE_STEPS
     require_in_grid(
@@ -425,17 +425,17 @@ def certify(
 
 
 def judged_by(table: DesignTable, controller: Controller, certificate: FamilyCertificate) -> Controller:
-    """Return `controller` with the design that judged it, and what was `certificate` says, in its record."""
+    """Return `controller` with its design and its `certificate` in its record."""
     design = {**controller.design, "specification": design_record(table)}
     return replace(controller, design=design, certificate=certificate.as_dict())
 
 
 def specification_of(controller: Controller | ControllerBank) -> DesignTable | None:
-    """Return the design for a family that a controller or bank carries in its record, None where none.
+    """Return the design for a family in the record of a controller or bank, None if there is none.
 
     The designs of the study are for one operating point: their records name no conditions.
 
-    Raises ScenarioError where the record is there and is no design.
+    Raises ScenarioError if the record exists but is not a design.
     """
     specification = controller.design.get("specification")
     one_point = isinstance(specification, Mapping) and {"conditions", "point"}.isdisjoint(specification)

@@ -72,7 +72,7 @@ class AskTable(Table):
     synchronism: bool = False  #: after the fault of `fault`, at every operating point
 
     def check(self, least_cap: float, slowest_pole: float) -> None:
-        """Raise ValueError where no controller within the bounds of the search can hold what is asked."""
+        """Raise ValueError if no controller within the bounds of the search can meet the requirements."""
         contradictions = (
             ("ask.effort", self.effort, "every effort_cap", least_cap, self.effort >= least_cap),
             (
@@ -143,7 +143,7 @@ class BankTable(Table):
     return_s: Annotated[float, Field(ge=0.0)] = 1.0
 
     def check(self, signals: Sequence[str], guard: GuardTable | None) -> None:
-        """Raise ValueError for members that see what the design does not, and a guard that turns."""
+        """Raise ValueError for members with signals outside the design, and a guard that follows a flow."""
         for member in self.member:
             if strange := sorted(set(member.signals) - set(signals)):
                 raise ValueError(
@@ -169,7 +169,7 @@ class StageTable(Table):
     longest_s: Positive | None = None
 
     def stage(self) -> Stage:
-        """Return it as the search takes it."""
+        """Return the stage for the search."""
         offsets = BandOffsets(*zip(*self.offset, strict=True)) if self.offset else None
         longest_s = float("inf") if self.longest_s is None else self.longest_s
         return Stage(self.points, self.conditions, self.rho, self.steps, offsets, longest_s)
@@ -191,7 +191,7 @@ class GuardTable(Table):
     flow_pu: Positive = 0.1  #: slow course of that flow at which the sides are whole
 
     def of(self, signals: Collection[str]) -> GuardTable | None:
-        """Return it for a controller that sees these signals alone; None where it watches none of them."""
+        """Return the guard for a controller with these signals only; None if it watches none of them."""
         watched = {y: tuple(s for s in self._signals(y) if s in signals) for y in self.watched}
         rows = {y: seen[0] if len(seen) == 1 else seen for y, seen in watched.items() if seen}
         if not rows or (self.follows is not None and self.follows not in signals):
@@ -203,7 +203,7 @@ class GuardTable(Table):
         return (seen,) if isinstance(seen, str) else seen
 
     def guard(self) -> Guard:
-        """Return it as a controller has it."""
+        """Return the guard of the controller."""
         return Guard(**self.model_dump())
 
 
@@ -211,13 +211,14 @@ Exponent = Annotated[float, Field(ge=0.0)]
 
 
 def require_points(key: str, names: Sequence[str], points: Sequence[str]) -> None:
-    """Raise ValueError where `names`, of a table's `key`, has what is no operating point of the design."""
+    """Raise ValueError if `names`, of a table's `key`, has a name that is not an operating point of the
+    design."""
     if unknown := [name for name in names if name not in points]:
         raise ValueError(f"{key} has {unknown}; the design's are {', '.join(points)}")
 
 
 def require_distinct(key: str, names: Sequence[str]) -> None:
-    """Raise ValueError where a name is there twice."""
+    """Raise ValueError if a name occurs twice."""
     if twice := sorted({name for name in names if names.count(name) > 1}):
         raise ValueError(f"{key}: has {twice} twice, allowed: each name once")
 
@@ -235,10 +236,10 @@ class FaultPlace(Table):
 class AcceptanceTable(Table):
     """Faults that a controller must survive: every combination is run.
 
-    ceilings : (least, most) field voltage of every exciter that has limits, pu; as the case has them too.
-    loads : exponents of P and Q of every load; as the case has them too.
-    latency_s : of every signal. Each signal but those of `never_lost` is lost in turn at `lost_s`, and none;
-    then each is wrong in each way of `wrong`.
+    ceilings : (least, most) field voltage of every exciter that has limits, pu, in addition to those of the
+    case. loads : exponents of P and Q of every load, in addition to those of the case.
+    latency_s : of every signal. No signal is lost, then each except `never_lost` in turn at `lost_s`; then
+    each is wrong in each way of `wrong`.
     clear_cycles : of the fault, periods of the case's frequency.
     """
 
@@ -290,16 +291,16 @@ class AcceptanceTable(Table):
         return self
 
     def check(self, points: Sequence[str]) -> None:
-        """Raise ValueError where `points` of the table names what is no operating point of the design."""
+        """Raise ValueError if `points` has a name that is not an operating point of the design."""
         require_points("acceptance.points", self.points, points)
 
     def of(self, signals: Collection[str]) -> AcceptanceTable:
-        """Return it for a controller that sees these signals alone."""
+        """Return the acceptance for a controller with these signals only."""
         kept = tuple(name for name in self.never_lost if name in signals)
         return self.model_copy(update={"never_lost": kept})
 
     def check_signals(self, signals: Sequence[str]) -> None:
-        """Raise ValueError where `never_lost` names what is no signal of the controller."""
+        """Raise ValueError if `never_lost` has a name that is not a signal of the controller."""
         if strange := sorted(set(self.never_lost) - set(signals)):
             raise ValueError(
                 f"acceptance: never_lost names {', '.join(strange)}; the controller's signals are "
@@ -307,7 +308,7 @@ class AcceptanceTable(Table):
             )
 
     def looked_at(self, cases: Mapping[str, Case]) -> dict[str, Case]:
-        """Return the operating points of `cases` at which faults are tried."""
+        """Return the operating points of `cases` at which faults are run."""
         return {point: case for point, case in cases.items() if not self.points or point in self.points}
 
 

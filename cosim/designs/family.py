@@ -1,4 +1,4 @@
-"""The plants of a design's operating points: dense where that is quicker, sparse blocks where it is not."""
+"""The plants of a design's operating points: dense where that is faster, else sparse blocks."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ MODEL_STATES, MODEL_ERROR = 120, 1e-4
 
 
 class Family(Protocol):
-    """What of a design says which operating points there are."""
+    """The properties of a design that define its operating points."""
 
     @property
     def grid(self) -> Case: ...
@@ -76,11 +76,11 @@ class FamilyPlant:
 
     @cached_property
     def searched(self) -> control.StateSpace:
-        """The plant that design models are made of, speeds in pu: of a large one a model of `MODEL_STATES`.
+        """The plant of the design models, speeds in pu: for a large one a model of `MODEL_STATES`.
 
         Raises
         ------
-        ReductionError : so many states are not enough for `MODEL_ERROR`.
+        ReductionError : this number of states is not sufficient for `MODEL_ERROR`.
         """
         if self.small is not None:
             return self.small
@@ -99,14 +99,14 @@ class FamilyPlant:
 
     @cached_property
     def modes(self) -> Mapping[str, Mode] | None:
-        """The swing modes by name, of a large plant the inter-area ones; None where the case gives none."""
+        """The swing modes by name, of a large plant the inter-area ones; None if the case has none."""
         if isinstance(self.judged, LargePlant):
             return {mode.name: mode for mode in self.judged.inter_area}
         return named_modes(self.searched, self.case)
 
 
 def named_modes(plant: control.StateSpace, case: Case) -> Mapping[str, Mode] | None:
-    """Return the swing modes of an operating point by name; None where the case gives none."""
+    """Return the swing modes of an operating point by name; None if the case has none."""
     try:
         return modes_of(plant, case.areas)
     except ModeError:
@@ -114,7 +114,7 @@ def named_modes(plant: control.StateSpace, case: Case) -> Mapping[str, Mode] | N
 
 
 def at_point(case: Case, point: PointTable) -> Case:
-    """Return `case` at an operating point. Raises CaseError where there is none."""
+    """Return `case` at an operating point. Raises CaseError if there is none."""
     return operating_variant(
         case,
         tie_flow_mw=point.tie_flow_mw,
@@ -131,7 +131,7 @@ def require_in_grid(
     fault: FaultTable | None,
     acceptance: AcceptanceTable | None,
 ) -> None:
-    """Raise ScenarioError for an output, bus or branch that a design names and its grid does not have."""
+    """Raise ScenarioError for an output, bus or branch of a design that its grid does not have."""
     shown = [each.variable.name for each in shown_of(grid) if each.variable.role == "output"]
     buses, branches = [bus.number for bus in grid.buses], [branch.name for branch in grid.branches]
     rows: list[tuple[str, object, Sequence[object]]] = []
@@ -167,7 +167,7 @@ def family_plants(table: Family, cache: Path) -> dict[str, FamilyPlant]:
 def with_margins(
     judged: FamilyCertificate, table: Family, K: control.StateSpace, cache: Path
 ) -> FamilyCertificate:
-    """Add to a certificate how much later, larger or smaller each signal may come."""
+    """Add the delay and gain margins of each signal to a certificate."""
     plants = {name: each.judged for name, each in family_plants(table, cache).items()}
     return replace(judged, margins=tuple(margin.as_dict() for margin in signal_margins(plants, K)))
 
@@ -179,7 +179,7 @@ def with_mode_changes(
     conditions: Sequence[Condition],
     given_away: float,
 ) -> FamilyCertificate:
-    """Add to a certificate the least damping of every mode without loss of a signal, and its violations.
+    """Add the least damping of every mode without a lost signal, and its violations, to a certificate.
 
     given_away : damping ratio that a mode may lose; infinity: the certificate stays as it is.
     """

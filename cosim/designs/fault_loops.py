@@ -1,9 +1,9 @@
-"""The linear loop in which a fault ends, and for how long a run has to go on to show that it decays.
+"""The linear loop after a fault, and the duration of a run that shows its decay.
 
-After a fault the branch that cleared it is out and lost signals are gone: that loop, linearised at the power
-flow solved anew without the branch, decides whether what is left of the fault dies out. Where no power flow
-is found without the branch (its loads are of constant power, those of a run are not), or the grid is in
-pieces without it, the loop with it is taken, and told (`FaultLoops.unsolved`).
+After a fault the tripped branch is out and lost signals are zero. This loop, linearised at a new power flow
+without the branch, decides whether the swing decays. If there is no power flow without the branch (its loads
+are of constant power, those of a run are not), or the grid splits, the loop with the branch is used and
+reported (`FaultLoops.unsolved`).
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _LEFT = -2.5  # 1/s: roots left of it are slow for no run
 
 @dataclass(frozen=True)
 class LoopEnd:
-    """The linear loop after a fault. root : the rightmost that does not stand at 0, 1/s.
+    """The linear loop after a fault. root : the rightmost except structural zeros, 1/s.
 
     Of a plant above `family.DENSE_STATES` states, the rightmost of the swings.
     """
@@ -48,10 +48,10 @@ class LoopEnd:
     root: complex
 
     def run_s(self, stop_s: float, since_s: float) -> float:
-        """Return how long a run must be: `stop_s`, or as long as the slowest root asks for.
+        """Return the necessary duration of a run: `stop_s`, or more if the slowest root requires it.
 
-        Where that root decays by less than `SLOW`: at least `LONG_S`, until what is left since `since_s` is a
-        fifth, at most `LONGEST_S`.
+        If that root decays by less than `SLOW`: at least `LONG_S`, until a fifth of the swing since `since_s`
+        remains, at most `LONGEST_S`.
 
         >>> LoopEnd(True, -0.1 + 0j).run_s(10.0, 1.5), round(LoopEnd(True, -0.02 + 0.6j).run_s(10.0, 1.5), 3)
         (10.0, 81.972)
@@ -66,7 +66,7 @@ class LoopEnd:
 
 
 class FaultLoops:
-    """Linear loops of one operating point, with each branch that a fault trips out; found when asked for."""
+    """Linear loops of one operating point with each tripped branch out, computed on request."""
 
     def __init__(self, case: Case, controller: ControllerOrBank, cache: Path) -> None:
         self.case, self.controller, self._cache = case, controller, cache

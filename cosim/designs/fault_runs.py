@@ -1,4 +1,4 @@
-"""Faults in a grid by the hundred: runs of one plant side by side, their FMUs and instances kept alive."""
+"""Hundreds of faults in a grid: batched runs of one plant, with FMUs and instances kept alive."""
 
 from __future__ import annotations
 
@@ -40,11 +40,11 @@ Key = TypeVar("Key", bound=Hashable)
 
 @dataclass(frozen=True)
 class FaultRun:
-    """One run: events after a start at rest, and the controller whose signals come late, wrong or not at all.
+    """One run from the equilibrium: its events, and the controller with late, wrong or lost signals.
 
-    events : as in a scenario file. latency_s : of every signal, or of each, 0 where it is not named. lost_s :
-    signal -> when it goes for good: it is zero at once, as in the linear loops. wrong : signal -> the table
-    of its `signal_faults`.
+    events : as in a scenario file. latency_s : of every signal, or of each, default 0. lost_s : signal ->
+    instant of its permanent loss: it is zero at once, as in the linear loops. wrong : signal -> the table of
+    its `signal_faults`.
     """
 
     events: Sequence[Mapping[str, Any]]
@@ -55,7 +55,7 @@ class FaultRun:
     wrong: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     def document(self) -> dict[str, Any]:
-        """Return it as a scenario; case and controller are given to it as objects."""
+        """Return the run as a scenario, without case and controller, which are passed as objects."""
         document: dict[str, Any] = {"case": "given", "stop_s": self.stop_s, "event": list(self.events)}
         if self.controller is not None:
             late = self.latency_s
@@ -74,9 +74,9 @@ class FaultRun:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a run came to.
+    """The outcome of a run.
 
-    angle_rad : largest between two machines; inf, and no verdict, where it ended early.
+    angle_rad : largest between two machines; inf, and no verdict, if it ended early.
     """
 
     angle_rad: float
@@ -84,17 +84,17 @@ class Outcome:
 
     @property
     def synchronous(self) -> bool:
-        """Whether no two machines came half a turn apart."""
+        """Whether no angle between two machines reached half a turn."""
         return self.angle_rad < np.pi
 
     @property
     def stable(self) -> bool:
-        """Whether it has settled or does so slowly."""
+        """Whether it has settled or is settling slowly."""
         return self.verdict is not None and self.verdict.stable
 
 
 class GridRun(Protocol):
-    """What is run: a scenario as a document, and its controller as an object."""
+    """A run: a scenario as a document, and its controller as an object."""
 
     @property
     def stop_s(self) -> float: ...
@@ -104,7 +104,7 @@ class GridRun(Protocol):
 
 
 class FaultRuns:
-    """Runs faults in one grid; FMUs and instances live as long as this context manager."""
+    """Runs faults in one grid; FMUs and instances exist as long as this context manager."""
 
     def __init__(self, case: Case, cache: Path) -> None:
         self.case = case
@@ -132,27 +132,27 @@ class FaultRuns:
         self._fmus.close()
 
     def run(self, runs: Sequence[GridRun]) -> Iterator[Trajectory]:
-        """Give what each run showed, in order, as far as it came.
+        """Yield the trajectory of each run in order, up to its last step.
 
-        Raises whatever ended a run other than a step that failed (StepError).
+        Raises any error of a run except a failed step (StepError).
         """
         return (master.trajectory for _, master in self._ended(runs))
 
     def outcomes(self, runs: Sequence[GridRun], roots: Sequence[complex | None]) -> list[Outcome]:
-        """Return what each run came to.
+        """Return the outcome of each run.
 
-        roots : rightmost of the linear loop in which each run ends, 1/s; None where it is not known.
+        roots : rightmost root of the linear loop after each run, 1/s; None if not known.
         """
         return [outcome for outcome, _ in self.judged(runs, roots)]
 
     def outcomes_to_end(
         self, runs: Sequence[FaultRun], ends: Sequence[LoopEnd], since_s: float
     ) -> tuple[list[Outcome], float]:
-        """Return what runs came to, each as long as its linear loop asks for, and the longest of them, s.
+        """Return the outcomes of runs whose durations follow from their linear loops, and the longest
+        duration, s.
 
-        ends : the loop in which each run ends. since_s : when the last signal is lost. What keeps synchronism
-        without decaying is run on to `LONG_S` and, where that loop is stable, to `LONGEST_S`: only that shows
-        how it ends.
+        ends : the linear loop after each run. since_s : instant of the last loss. A run that keeps
+        synchronism without decaying is continued to `LONG_S` and, if that loop is stable, to `LONGEST_S`.
         """
         lengths = [end.run_s(run.stop_s, since_s) for run, end in zip(runs, ends, strict=True)]
         outcomes = self.outcomes(
@@ -175,7 +175,7 @@ class FaultRuns:
     def judged(
         self, runs: Sequence[GridRun], roots: Sequence[complex | None]
     ) -> Iterator[tuple[Outcome, Trajectory]]:
-        """Give what each run came to, and what it showed; roots as of `outcomes`."""
+        """Yield outcome and trajectory of each run; roots as in `outcomes`."""
         for run, root, (scenario, master) in zip(runs, roots, self._ended(runs), strict=True):
             data = master.trajectory
             angle = self._largest_angle(run, data)
@@ -206,7 +206,7 @@ class FaultRuns:
                 yield scenario, master
 
     def largest_angles(self, runs: Sequence[GridRun]) -> list[float]:
-        """Return the largest angle between two machines of each run, rad; inf where it ended early."""
+        """Return the largest angle between two machines of each run, rad; inf if it ended early."""
         return [self._largest_angle(run, data) for run, data in zip(runs, self.run(runs), strict=True)]
 
     def _largest_angle(self, run: GridRun, data: Trajectory) -> float:
@@ -249,11 +249,11 @@ def longest_kept(
     high: float,
     tolerance: float,
 ) -> dict[Key, float]:
-    """Bisect for each setting where `kept` ends between `low` and `high`; all settings in each call.
+    """Bisect the end of `kept` between `low` and `high` for each setting; each call has all settings.
 
     Returns
     -------
-    setting -> the longest value found kept; 0 where `low` is not, `high` where that still is.
+    setting -> the longest kept value; 0 if `low` is not kept, `high` if it is kept.
     """
     first, last = kept(dict.fromkeys(settings, low)), kept(dict.fromkeys(settings, high))
     good = {s: (high if last[s] else low) if first[s] else 0.0 for s in settings}

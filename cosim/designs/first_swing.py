@@ -1,9 +1,9 @@
-"""What eigenvalues do not show: whether the areas stay together after a fault when signals are lost.
+"""First swing: whether the areas keep synchronism after a fault with lost signals.
 
-After a loss the local signal carries the common rise of speed; a controller that answers it raises the
-voltage of the importing area, with it that area's load, and pulls the areas apart. The predictor costs no
-run of the controller: the speeds of the run *without* control are fed through it, and the mean of its
-output in the second and a half after the loss says how hard it pulls. `after_fault` is the run itself.
+Eigenvalues do not show this. After a loss the local signal contains the common rise of speed; a controller
+that responds to it raises the voltage of the importing area, and thereby its load, and drives the areas
+apart. The predictor needs no run with the controller: the speeds of the run *without* control are its inputs,
+and the mean of its output in the 1.5 s after the loss measures the drive. `after_fault` is the run itself.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class FaultTable(Table):
 
 @dataclass(frozen=True)
 class FaultRow:
-    """One operating point through the fault with the lost signals lost."""
+    """Result of the fault at one operating point with lost signals."""
 
     point: str
     lost: tuple[str, ...]
@@ -76,7 +76,7 @@ class FaultRow:
 
     @property
     def missed(self) -> str:
-        """What this run misses, as a violation."""
+        """The violation of this run."""
         what = f"settled after {self.settled_s:.1f} s" if self.synchronism else "synchronism lost"
         return f"{self.point}, fault with {' and '.join(self.lost) or 'nothing'} lost: {what}"
 
@@ -84,7 +84,7 @@ class FaultRow:
 def fault_scenario(
     case_file: Path, case: Case, fault: FaultTable, controller: str = "none"
 ) -> dict[str, Any]:
-    """Return the scenario of the fault; a branch that is out already is not tripped."""
+    """Return the scenario of the fault; a branch that is already out is not tripped."""
     events = after_clearing(case, fault.bus, fault.branch, fault.start_s, fault.clear_s)
     return {"case": str(case_file), "event": events, "controller": controller, "stop_s": fault.stop_s}
 
@@ -98,7 +98,7 @@ def after_clearing(
     *,
     x_pu: float = 1e-4,
 ) -> list[dict[str, Any]]:
-    """Return the events of a fault that a trip clears; a branch that is out already is not tripped."""
+    """Return the events of a fault cleared by a trip; a branch that is already out is not tripped."""
     events: list[dict[str, Any]] = [
         {"kind": "bus_fault", "bus": bus, "start_s": start_s, "end_s": clear_s, "x_pu": x_pu}
     ]
@@ -108,7 +108,7 @@ def after_clearing(
 
 
 def uncontrolled_speeds(case: Case, fault: FaultTable, cache: Path) -> tuple[Array, dict[str, Array]]:
-    """Return time (s) and machine -> speed deviation (pu) of the fault without control, kept in `cache`."""
+    """Return time (s) and machine -> speed deviation (pu) of the fault without control, stored in `cache`."""
     window = fault.model_copy(update={"stop_s": fault.lost_s + 1.5})
     key = content_hash(file_hash(plant_fmu(case, cache)), window.model_dump(mode="json"), code_hash(__name__))
 
@@ -132,7 +132,7 @@ def mean_drive(
     lost: Sequence[str],
     fault: FaultTable,
 ) -> float:
-    """Return the largest of `mean_outputs`, pu: a pull upwards."""
+    """Return the largest of `mean_outputs`, pu; positive raises the voltage."""
     return float(mean_outputs(K, time_s, speeds, lost, fault).max())
 
 
@@ -143,9 +143,9 @@ def mean_outputs(
     lost: Sequence[str],
     fault: FaultTable,
 ) -> Array:
-    """Return the mean (pu) of each of K's outputs, not limited, in 1.5 s after the loss.
+    """Return the mean (pu) of each unlimited output of K in the 1.5 s after the loss.
 
-    K : inputs ``*_dw`` in rad/s, outputs in pu. speeds : machine -> rad/s. lost : read zero.
+    K : inputs ``*_dw`` in rad/s, outputs in pu. speeds : machine -> rad/s. lost : signals that are zero.
     """
     # what only a guard looks at, a flow, drives nothing
     driving = np.count_nonzero(np.vstack([K.B, K.D]), axis=0)
@@ -170,9 +170,9 @@ def predicted_drive(
     losses: Sequence[Sequence[str]],
     cache: Path,
 ) -> tuple[float, str]:
-    """Return the largest mean drive (pu) over operating points and losses, and what follows from it.
+    """Return the largest mean drive (pu) over operating points and losses, and its prediction.
 
-    "kept" and "lost" where every run on either side of the thresholds agreed, "uncertain" between them.
+    "kept" and "lost" beyond the thresholds, where all runs agreed; "uncertain" between them.
     """
     worst = -np.inf
     for case in cases.values():
@@ -187,10 +187,10 @@ def predicted_drive(
 def after_fault(
     controller: Controller, point: str, case: Case, fault: FaultTable, lost: Sequence[str], cache: Path
 ) -> FaultRow:
-    """Run the fault with every signal of the controller late and `lost` ones gone from `fault.lost_s` on.
+    """Run the fault with every signal of the controller late and the `lost` ones zero from `fault.lost_s` on.
 
-    Synchronism: no two machines more than pi apart. Settled: the speed difference that runs of the case are
-    judged by (`swing_of`) below 2 % of its peak.
+    Synchronism: no two machines more than pi apart. Settled: the swing signal of the case (`swing_of`) below
+    2 % of its peak.
     """
     with temporary_folder() as folder:
         export_toml(case, folder / "case.toml")

@@ -1,4 +1,4 @@
-"""Loops of a case of any size, ranked from its sparse plant."""
+"""Ranking of loops for a case of any size, from its sparse plant."""
 
 from __future__ import annotations
 

@@ -29,11 +29,11 @@ def parameter_sensitivities(
 
     `redispatch.G1:G2` is the power that G2 delivers in place of G1, MW.
 
-    Every value has its own power flow and operating point: moving a load moves the whole equilibrium.
+    Every value has its own power flow and operating point, because a load change moves the whole equilibrium.
 
     Raises
     ------
-    CaseError : a path that is no number of the case, or a value beside it that the case refuses.
+    CaseError : a path that is not a number of the case, or a neighbouring value that the case rejects.
     """
     modes = modes_of(linear_plant(case, cache), case.areas)
     by_mode: dict[str, Mapping[str, Sensitivity]] = {}

@@ -1,4 +1,4 @@
-"""Short designs of sets of loops: what damping each reaches, before one is designed in earnest."""
+"""Short designs of sets of loops: an estimate of the damping of each before a complete design."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ _CAP = 0.6  # pu per rad/s
 
 @dataclass(frozen=True)
 class ShortDesign:
-    """A set of loops, and the least damping ratio of any inter-area root with nothing and everything late.
+    """A set of loops, and its least inter-area damping ratio with no signal and with all signals late.
 
-    damping : 0 where no stable controller was found, or not all of its modes are known. own : of loops that
-    see their own machine's speed alone, at least that without control.
+    damping : 0 if no stable controller was found, or not all of its modes are known. own : of loops that use
+    only their own machine's speed, at least that without control.
     """
 
     chosen: LoopSet
@@ -45,7 +45,7 @@ class ShortDesign:
 
     @property
     def sentence(self) -> str:
-        """What the signals from afar are worth in these loops."""
+        """Value of the remote signals in these loops, as a sentence."""
         message = (
             f"inter-area {self.damping:.3f} against {self.own:.3f} with the own machines' speeds alone; "
             "clearing times not searched"
@@ -63,11 +63,11 @@ def short_designs(
     latency_s: float = LATENCY_S,
     done: Callable[[int], None] = lambda _: None,
 ) -> tuple[ShortDesign, ...]:
-    """Design a controller for each set shortly, with the same effort for all; return them in their order.
+    """Make a short design for each set, with equal effort; return them in their order.
 
-    Each loop has four states and sees its own machine's speed and those of its signal. Nothing late and
-    everything `latency_s` late, two first guesses; judged on the full plant with exact latency.
-    done : called with how many are done.
+    Each loop has four states and uses its own machine's speed and those of its signal. Conditions: no signal
+    late, and all `latency_s` late; two first guesses; evaluated on the full plant with exact latency. done :
+    called with the number completed.
 
     Raises
     ------
@@ -140,11 +140,11 @@ def short_controller(
     start: control.StateSpace | None = None,
     starts: int = 2,
 ) -> control.StateSpace | None:
-    """Design loops shortly, four states each; None: no stable controller was found.
+    """Make a short design of loops with four states each; None: no stable controller was found.
 
     plants : operating point -> plant with all signals and actuators. sees : actuator -> its signals. effort :
-    pu per rad/s at most, under the first condition. start : a controller of that size to start from too,
-    beside so many first guesses.
+    pu per rad/s at most, under the first condition. start : a controller of that size as an additional start
+    of the search.
     """
     first = next(iter(plants.values()))
     spec = RobustSpec(

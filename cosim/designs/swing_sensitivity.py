@@ -1,8 +1,8 @@
-"""Sensitivity of the first swing to each actuator, by pulses in runs without control, kept in the cache.
+"""Sensitivity of the first swing to each actuator, by pulses in runs without control, cached.
 
-What `design.robust.swing_penalty` needs of a grid: for every operating point, exciter ceiling and fault the
-first peak of the angle between the two machines that go furthest apart, how much a pulse of each actuator in
-each slot of time moves it, and what the controller would have seen.
+Input of `design.robust.swing_penalty`: for every operating point, exciter ceiling and fault the first peak of
+the angle between the two machines that move furthest apart, its change by a pulse of each actuator in each
+time slot, and the inputs of the controller.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class FirstSwingTable(Table):
     limit_pu: Positive | None = None  #: of the outputs in this calculation; none: the design's
 
     def check(self, points: Sequence[str], acceptance: AcceptanceTable | None) -> None:
-        """Raise ValueError where it names no point of the design, or there is no fault to go by."""
+        """Raise ValueError if it names no point of the design, or if there is no fault."""
         if acceptance is None:
             raise ValueError("first_swing needs [acceptance]: it uses the faults named there")
         require_points("first_swing.points", self.points, points)
@@ -78,11 +78,11 @@ def swing_penalty(
 ) -> SwingPenalty:
     """Return the penalty over all cases whose first swing has a peak, each with every loss.
 
-    losses : signals gone from the acceptance's `lost_s` on; () is nothing lost.
+    losses : signals lost from the acceptance's `lost_s` on; (): none.
 
     Raises
     ------
-    ScenarioError : an actuator that is no set-point, or no fault after which the grid holds without control.
+    ScenarioError : an actuator that is not a set-point, or no fault that the grid without control survives.
     """
     swing_cases: list[SwingCase] = []
     for point in table.points or tuple(cases):
@@ -132,7 +132,7 @@ def _seen(
 def first_swing(
     case: Case, fault: FaultPlace, acceptance: AcceptanceTable, actuators: Sequence[str], cache: Path
 ) -> FirstSwing | None:
-    """Return the first swing of a fault, found again in `cache`; None where it has no peak."""
+    """Return the first swing of a fault, stored in `cache`; None if it has no peak."""
     machines = [name.removesuffix("_vs") for name in actuators]
     unknown = [a for a in actuators if not a.endswith("_vs")]
     if unknown:

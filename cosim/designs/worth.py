@@ -1,4 +1,4 @@
-"""Whether a controller's signals from afar pay: beside its own-signal rival, designed anew on equal terms."""
+"""Whether a controller's remote signals pay: comparison with an own-signal rival, designed on equal terms."""
 
 from __future__ import annotations
 
@@ -42,14 +42,14 @@ Progress = Callable[[str, float, str], object]
 
 
 def rival_table(table: DesignTable) -> DesignTable:
-    """Return the design of the best controller that sees the machines of its actuators alone.
+    """Return the design of the best controller that uses only signals of its actuators' machines.
 
-    Order, effort, points, search and limits stay. Losses, scales and the latency of the remote signal alone
-    are no conditions of it, which is to the rival's advantage.
+    Order, effort, points, search and limits are unchanged. Losses, scales and the latency of the remote
+    signal alone are not among its conditions, which is to the rival's advantage.
 
     Raises
     ------
-    ScenarioError : no signal comes from afar, or an actuator's machine has no signal in the set.
+    ScenarioError : no signal is remote, or an actuator's machine has no signal in the set.
     """
     orders = {part.actuator: part.order for part in table.part} or dict.fromkeys(table.actuators, table.order)
     own = _own_of(table)
@@ -114,10 +114,10 @@ def design_rival(
     *,
     progress: Progress = lambda step, share, text: None,
 ) -> Controller:
-    """Design the rival of a controller that the design of `table` fits.
+    """Design the rival of a controller that matches the design of `table`.
 
-    A design that goes on from a controller has stages for that alone. The search of its rival begins from
-    `controller` as its own signals leave it, too. Raises as `rival_table` and `run_design` do.
+    A design that starts from a controller has stages only for that. The search for its rival therefore also
+    starts from `controller` with only its own signals. Raises as `rival_table` and `run_design`.
     """
     rival = rival_table(table)
     start = None if table.start_from is None else _own_start(rival, controller)
@@ -151,13 +151,13 @@ def _own_start(rival: DesignTable, controller: Controller) -> control.StateSpace
 
 
 def rival_on_record(controller: Controller) -> Controller | None:
-    """Return the rival in a controller's record. Raises ControllerError where it is there and is none."""
+    """Return the rival in a controller's record. Raises ControllerError if the entry is not a controller."""
     record = controller.design.get(RECORD)
     return None if record is None else Controller.from_dict(record)
 
 
 def with_rival(controller: Controller, rival: Controller) -> Controller:
-    """Return `controller` with its rival in its record, the rival's own certificate left out."""
+    """Return `controller` with its rival, without the rival's certificate, in its record."""
     record = {**replace(rival, certificate=None).as_dict(), "design": {}}
     return replace(controller, design={**controller.design, RECORD: plain(record)})
 
@@ -171,7 +171,7 @@ def worth(
     clearing: bool = False,
     progress: Callable[[float], object] = lambda share: None,
 ) -> SignalWorth:
-    """Return what the signals of `controller` are worth on the family of a design.
+    """Return the value of the signals of `controller` on the family of a design.
 
     rival : default that of its record. clearing : clearing times of the design's acceptance too (minutes);
         else those that the same design left in the controller's record.
@@ -221,9 +221,9 @@ def _recorded_cycles(table: DesignTable, controller: Controller) -> dict[str, fl
 def worth_at(
     case: Case, controller: Controller, cache: Path, *, latency_s_of: Mapping[str, float] | None = None
 ) -> SignalWorth:
-    """Return what the signals of `controller` are worth at one operating point, at these latencies (s).
+    """Return the value of the signals of `controller` at one operating point, at these latencies (s).
 
-    Clearing times are those of its record, the mean over its design, where that is for this grid.
+    Clearing times are those of its record, the mean over its design, if that is for this grid.
     """
     K = controller.system
     plant = FamilyPlant.of(case, controller.inputs, controller.outputs, cache)
@@ -242,7 +242,7 @@ def worth_at(
 
 
 def has_rival(table: DesignTable) -> bool:
-    """Whether the design sees a signal from afar, and every actuator one of its own machine."""
+    """Whether the design has a remote signal, and every actuator a signal of its own machine."""
     return not _remark(table)
 
 
@@ -262,14 +262,14 @@ def certified_worth(
     *,
     progress: Callable[[float], object] = lambda share: None,
 ) -> FamilyCertificate:
-    """Return a certificate with the worth of the signals; with clearing times where it searched them."""
+    """Return a certificate with the value of the signals; with clearing times if it searched them."""
     searched = certified.acceptance is not None
     measured = worth(table, controller, cache, clearing=searched, progress=progress)
     return replace(certified, worth=plain(measured.as_dict()))
 
 
 def with_worth(table: DesignTable, controller: Controller, cache: Path) -> Controller:
-    """Return a controller with the worth of its signals in its certificate."""
+    """Return a controller with the value of its signals in its certificate."""
     measured = worth(table, controller, cache)
     record = {**(controller.certificate or {}), "worth": plain(measured.as_dict())}
     return replace(controller, certificate=record)
@@ -298,9 +298,9 @@ def _common_rises(
 def common_rises(
     cases: Sequence[Case], fault: FaultTable, systems: Mapping[str, control.StateSpace], cache: Path
 ) -> dict[str, float]:
-    """Return the largest mean answer (pu) of controllers to the speeds of an uncontrolled fault.
+    """Return the largest mean response (pu) of controllers to the speeds of an uncontrolled fault.
 
-    0.5 to 2 s after it, over all cases; every input a machine's speed, rad/s.
+    From 0.5 to 2 s after the fault, over all cases; every input is a machine's speed, rad/s.
     """
     largest = dict.fromkeys(systems, 0.0)
     for case in cases:
@@ -313,7 +313,7 @@ def common_rises(
 
 
 def clearing_change(table: DesignTable, controller: ControllerOrBank, cache: Path) -> float | None:
-    """Return the mean change of the clearing times against no control, cycles, nothing being lost.
+    """Return the mean change of the clearing times relative to no control, cycles, with no signal lost.
 
     Over the points and faults of the acceptance at its first latency; ceilings and loads of the case.
     """
