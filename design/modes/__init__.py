@@ -1,1 +1,1 @@
-"""Modes, sensitivities, and which loop to close."""
+"""Modes, sensitivities, and selection of loops."""

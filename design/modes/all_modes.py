@@ -36,14 +36,13 @@ class AllModes:
     ----------
     modes : names by shape (`inter-area 2`, `local area 1.3`, `common frequency`, `control 4`), numbered by
         frequency. Of a plant of at most `growth.WHOLE` states the swing modes have the names of `modes_of`.
-    counted : modes within by the argument principle; always as many as `modes`.
-    band_hz, below : the region that was counted. moved : lines that were moved off a mode, in words.
+    counted : modes in the region by the argument principle; equals the number of `modes`. band_hz, below :
+    the counted region. moved : boundaries that were moved away from a mode, in words.
     residual : the largest of any mode.
-    standing : eigenvalues 0 by the way the plant is built, no instability: the rotation of all rotors,
-        exciters that share a bus, controls that rest.
-    near_zero : eigenvalues slower than the band that do not decay, by a count of their own; those that are
-        more than `standing` grow.
-    searched, factorisations : shifted plants factored by the search, and of N(s) by the counts.
+    standing : structural zero eigenvalues, no instability: the rotation of all rotors, exciters that share a
+    bus, inactive controls. near_zero : eigenvalues slower than the band that do not decay, by a separate
+    count; the excess over `standing` grows. searched, factorisations : factorisations of shifted plants by
+    the search, and of N(s) by the counts.
     """
 
     modes: tuple[Mode, ...]
@@ -59,12 +58,12 @@ class AllModes:
 
     @property
     def rotation(self) -> bool:
-        """Whether turning all rotors together moves nothing (no infinite bus)."""
+        """Whether a common rotation of all rotors has no effect (no infinite bus)."""
         return self.zero_eigenvalues.rotation
 
     @property
     def growing_slowly(self) -> int:
-        """Eigenvalues slower than the band that grow, or decay within hours; none of them stands at 0."""
+        """Eigenvalues slower than the band that grow, or decay within hours, without structural zeros."""
         return self.near_zero - self.zero_eigenvalues.count
 
     @property
@@ -94,7 +93,7 @@ class AllModes:
         return tuple(message)
 
     def as_dict(self, count: int, *, shapes: bool) -> dict[str, Any]:
-        """Return the record as JSON values: of each mode the `count` states that take part most."""
+        """Return the record as JSON values, with the `count` dominant states of each mode."""
         rows = [
             {
                 "name": mode.name,
@@ -132,7 +131,7 @@ def all_modes(
     below: float,
     loop: Loop | None = None,
 ) -> AllModes:
-    """Find every mode of `plant` in a band whose damping ratio is below a limit; prove that these are all.
+    """Compute every mode of `plant` in a band below a damping ratio; verify by a count that these are all.
 
     Parameters
     ----------
@@ -142,7 +141,7 @@ def all_modes(
 
     Raises
     ------
-    ModeError : a band or limit that is none, or modes found and counted that differ.
+    ModeError : an invalid band or limit, or different numbers of computed and counted modes.
     """
     low, high = band_hz
     if not 0.0 < low < high < np.inf:
@@ -190,7 +189,7 @@ class _Exact:
 
     @property
     def pairs(self) -> list[Pair]:
-        """All of them; one that does not settle keeps its residual, and the count tells."""
+        """All pairs; one that does not converge keeps its residual, and the count reveals it."""
         for p in self.search.pairs[len(self._pairs) :]:
             self._pairs.append(Pair(*self.search.loop.exact(p.value, p.right, p.left)))
         return self._pairs

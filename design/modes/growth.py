@@ -1,12 +1,12 @@
-r"""Whether anything grows: one verdict on the whole spectrum of a plant, before any mode is named.
+r"""Stability verdict on the whole spectrum of a plant, before any mode is named.
 
-A computed eigenvalue is known no better than by its condition,
+The error of a computed eigenvalue follows from its condition,
 
 .. math:: |\delta \lambda_k| \approx \varepsilon \, \|A\| \, \frac{\|w_k\| \|v_k\|}{|w_k^T v_k|},
 
-with :math:`A` balanced. The two eigenvalues at 0 of a common angle and a common speed are a Jordan block:
-rounding splits them to :math:`\pm\sqrt{\varepsilon}`, and their condition grows as much. Neither is taken for
-growth.
+with :math:`A` balanced. The two eigenvalues at 0 of a common angle and a common speed form a Jordan block:
+rounding splits them to :math:`\pm\sqrt{\varepsilon}`, and their condition grows accordingly. Neither counts
+as growth.
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ _CENTRES = (0.01, 0.1, 1.0, 10.0, *(complex(0.3, w) for w in (0.5, 1.0, 2.0, 4.0
 
 @dataclass(frozen=True)
 class Growing:
-    """An eigenvalue that grows, 1/s, imaginary part 0 or above; states that take most part, with shares."""
+    """A growing eigenvalue, 1/s, imaginary part 0 or above; dominant states with their participation."""
 
     eigenvalue: complex
     states: Mapping[str, float]
 
     @property
     def text(self) -> str:
-        """Eigenvalue, frequency or time of doubling, and who takes part."""
+        """Eigenvalue, frequency or doubling time, and participating states."""
         z = self.eigenvalue
         doubled = f"doubles in {np.log(2.0) / z.real:.3g} s"
         value, kind = f"{z.real:+.4g}", f"real, {doubled}"
@@ -61,10 +61,10 @@ class Growth:
 
     Attributes
     ----------
-    growing : fastest first; of a pair one.
-    counted : eigenvalues that grow, both of each pair; more than in `growing` where some were not found.
+    growing : fastest first; one of each pair. counted : growing eigenvalues, both of each pair; more than in
+    `growing` if some were not located.
     states : number of all eigenvalues; of a loop with delays, of the model without them.
-    slowest : 1/s, what grows more slowly than this is not told from standing.
+    slowest : 1/s; slower growth is not distinguished from 0.
     """
 
     growing: tuple[Growing, ...]
@@ -74,7 +74,7 @@ class Growth:
 
     @property
     def stable(self) -> bool:
-        """Whether nothing grows."""
+        """Whether no eigenvalue grows."""
         return self.counted == 0
 
     @property
@@ -139,13 +139,13 @@ def growth_of(A: Matrix, labels: Sequence[str]) -> Growth:
 def growth_of_plant(plant: SparsePlant, loop: Loop | None = None, known: Sequence[complex] = ()) -> Growth:
     """Return the verdict on a grid of any size.
 
-    All eigenvalues of up to `WHOLE` states are computed. Of more, and with a controller, those that grow
-    faster than `SLOWEST` are counted by the argument principle; if there are any, they are looked for.
+    Up to `WHOLE` states all eigenvalues are computed. Above that, and with a controller, those that grow
+    faster than `SLOWEST` are counted by the argument principle, and located if there are any.
 
     Parameters
     ----------
     loop : the plant with a controller around it; default none.
-    known : modes that were found before, imaginary part 0 or above, which makes the count quick.
+    known : modes already computed, imaginary part 0 or above; they make the count fast.
     """
     if loop is None and plant.nstates <= WHOLE:
         return growth_of(plant.state_matrix(), plant.states)

@@ -1,7 +1,7 @@
-"""Eigenvalues over a parameter: the modes of every value, each followed to the next by continuity.
+"""Eigenvalues over a parameter: the modes at every value, each tracked to the next by continuity.
 
-A mode goes to the one nearest to where a straight line through its last two values leads, all of them
-together (assignment of least total distance). Where two would do nearly as well, the step is halved.
+Each mode is extrapolated linearly from its last two values and assigned to the nearest mode, all together
+(assignment of least total distance). If two assignments are nearly equal, the step is halved.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ class Locus:
     """Modes over a parameter.
 
     values : (n,) of the parameter, rising or falling. modes : name -> (n,) eigenvalues in 1/s, nan where the
-    mode is outside the region that was looked at.
+    mode is outside the region.
     """
 
     key: str
@@ -49,10 +49,10 @@ class Locus:
 
 
 def follow(spectrum: Spectrum, values: Sequence[float], *, key: str = "parameter") -> Locus:
-    """Return the modes at `values` (n >= 2), followed from the first to the last.
+    """Return the modes at `values` (n >= 2), tracked from the first to the last.
 
-    spectrum : name -> eigenvalue (1/s) of the modes looked at, for a value of the parameter; names may differ
-    from value to value.
+    spectrum : name -> eigenvalue (1/s) of the modes at a value of the parameter; names may differ between
+    values.
 
     >>> modes = lambda p: {"a": -0.1 + 1j * (1 + p), "b": -0.3 + 1j * (2 - p)}  # they pass each other
     >>> locus = follow(modes, [0.0, 0.25, 0.5, 0.75, 1.0])
@@ -61,7 +61,7 @@ def follow(spectrum: Spectrum, values: Sequence[float], *, key: str = "parameter
 
     Raises
     ------
-    ValueError : fewer than two values, or not one after the other.
+    ValueError : fewer than two values, or not monotonic.
     """
     steps = np.diff(values)
     if len(values) < 2 or not (np.all(steps > 0.0) or np.all(steps < 0.0)):

@@ -1,10 +1,10 @@
-r"""Which actuators with which signals, for several modes at once and on a grid of any size.
+r"""Selection of actuators and signals, for several modes at once and on a grid of any size.
 
 With :math:`A v = \lambda v,\ w^T A = \lambda w^T,\ w^T v = 1` a loop from actuator b to signal c that is late
 by tau has the residue :math:`R = (c v)(w^T b)\, e^{-\lambda\tau}`: a small gain K moves the mode by K R.
 Signals of one kind (speeds, bus frequencies, angles, powers, currents) have one unit, so the index of a loop
-is |R| over the largest of its kind for that mode: no state coordinates and no unit move it. A set is as good
-as the mode it serves worst: its score is the least over modes of its largest index.
+is |R| over the largest of its kind for that mode, independent of state coordinates and units. The score of a
+set is the least over modes of its largest index.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _LISTED = 12  # names in a message
 
 @dataclass(frozen=True)
 class Signal:
-    """A signal that could be fed back: what it shows of each mode, in the unit of its kind.
+    """A candidate signal, with its observability of each mode in the unit of its kind.
 
     kind : of `KINDS`; speeds and frequencies in pu, angles in rad, powers and currents in pu.
     """
@@ -50,10 +50,10 @@ class Signal:
 class RankedLoop:
     """One signal fed back to one actuator, for one mode.
 
-    index : 0..1, part of the largest residue that any signal of its kind and any actuator has.
+    index : 0..1, share of the largest residue of any signal of its kind and any actuator.
     residue : with the delay, unit of the signal per unit of the actuator and second.
-    lead_deg : phase that the controller has to make up, the delay included, -180..180.
-    beside : the other mode that the loop moves most, and how much more (or less) than the target.
+    lead_deg : phase that the controller must compensate, including the delay, -180..180. beside : the other
+    mode that the loop moves most, and its shift relative to the target's.
     """
 
     mode: str
@@ -70,7 +70,7 @@ class RankedLoop:
 class LoopChoice:
     """Ranked loops of each target mode, best first, and ranked sets.
 
-    least_damped : of the targets. remarks : targets that are no mode of another operating point.
+    least_damped : of the targets. remarks : targets that do not exist at another operating point.
     """
 
     targets: tuple[str, ...]
@@ -102,11 +102,11 @@ def choose_loops(
     areas : machine name -> area number.
     latency_s : of every signal. actuators : inputs of the plant, default all. most : rows that are kept.
     together : default 2, or 1 where there is one actuator.
-    points : other operating points at which sets are to hold; ranked by the least score of all.
+    points : other operating points of the sets; these are ranked by the least score of all.
 
     Raises
     ------
-    ModeError : no inter-area mode, unknown names, no actuator, a target that no loop reaches and sees.
+    ModeError : no inter-area mode, unknown names, no actuator, a target that no loop controls and observes.
     """
     aimed = _targets(modes, targets)
     names = _actuators(plant, actuators)
@@ -178,9 +178,9 @@ def signals_of(
     areas: Mapping[str, int],
     aimed: Sequence[int],
 ) -> list[Signal]:
-    """Return every candidate signal with what it shows of each mode: own speeds, differences, branches.
+    """Return every candidate signal with its observability of each mode: speeds, differences, branches.
 
-    right : (n, modes); value : (modes,) eigenvalues; aimed : modes whose most visible ends form differences.
+    right : (n, modes); value : (modes,) eigenvalues; aimed : modes whose extreme machines form differences.
     """
     omega = _base(plant)
     speeds = right[plant.speed]
@@ -262,7 +262,7 @@ class _Residues:
         self._moved = np.abs(reach) / np.maximum(np.abs(reach).max(axis=1, keepdims=True), 1e-300)
 
     def require(self, aimed: Sequence[int], modes: Sequence[Mode]) -> None:
-        """Refuse targets that no loop reaches and sees."""
+        """Reject targets that no loop controls and observes."""
         size = np.abs(self._shows).max(axis=0) * np.abs(self._reach).max(axis=1)
         for m in aimed:
             if not size[m] > _UNSEEN * size.max():
@@ -272,7 +272,7 @@ class _Residues:
                 )
 
     def ranked(self, m: int, most: int) -> list[RankedLoop]:
-        """The best loops for mode m; of equal ones those that move other modes less."""
+        """The best loops for mode m; among equal ones those that move other modes less."""
         index = np.outer(self._seen[:, m], self._moved[m])
         k = min(4 * most, index.size)
         few = np.flatnonzero(index >= np.partition(index, index.size - k, axis=None)[index.size - k])
@@ -298,7 +298,7 @@ class _Residues:
         )
 
     def sets(self, aimed: Sequence[int], together: int) -> tuple[LoopSet, ...]:
-        """Sets of the actuators that serve some target most, the best first."""
+        """Sets of the actuators with the largest indices for some target, the best first."""
         best = self._moved[list(aimed)]  # the index with the best signal of any kind
         strong = np.argsort(-best.max(axis=0), kind="stable")[: max(_MOST_ACTUATORS, together)]
         rows = []

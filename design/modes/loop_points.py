@@ -1,10 +1,10 @@
-r"""Sets of actuators, and how they hold at other operating points.
+r"""Sets of actuators, and their scores at other operating points.
 
 A mode there is the one of the base point of most similar shape: with :math:`w^T v = 1` at both points (0, 1)
 
 .. math:: |(w_0^T v_1)(w_1^T v_0)|
 
-is 1 for the same mode, 0 for another, and no unit or size of states moves it.
+is 1 for the same mode and 0 for another, independent of units and scaling of states.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ _SAME = 0.25  # less is another mode
 
 @dataclass(frozen=True)
 class LoopSet:
-    """Actuators, each with the signal that serves it best.
+    """Actuators, each with its best signal.
 
     score : least over modes of the largest index. left : the same after the worst loss of one signal.
-    decides : the mode that decides the score. loops : actuator -> signal, for the mode it serves most.
-    holds : the least score at other operating points, at `weakest_point`; None where none were asked for.
+    decides : the mode that decides the score. loops : actuator -> signal, for its best mode. holds : the
+    least score at other operating points, at `weakest_point`; None if none were given.
     """
 
     actuators: tuple[str, ...]
@@ -54,9 +54,10 @@ class LoopPoint:
     modes: Sequence[Mode]
 
     def reach(self, targets: Sequence[Mode], actuators: Sequence[str]) -> npt.NDArray[np.float64]:
-        """Return what each actuator moves each target here, of the most that any does, (targets, actuators).
+        """Return the shift of each target by each actuator here, relative to the largest, (targets,
+        actuators).
 
-        Rows of targets that are no mode here are 1: nothing is asked there.
+        Rows of targets that do not exist here are 1: there is no requirement.
         """
         local = [self.like(target) for target in targets]
         B = self.plant.Bu[:, [self.plant.inputs.index(name) for name in actuators]].toarray()
@@ -68,7 +69,7 @@ class LoopPoint:
         return result
 
     def like(self, target: Mode) -> Mode | None:
-        """Return the mode here that is most like one of the base point, None where none is.
+        """Return the mode here most similar to one of the base point, None if there is none.
 
         Raises
         ------
@@ -90,7 +91,7 @@ class LoopPoint:
 def held(
     sets: Sequence[LoopSet], targets: Sequence[Mode], actuators: Sequence[str], points: Sequence[LoopPoint]
 ) -> tuple[LoopSet, ...]:
-    """Return sets with what is left of their score at the worst point, ranked by the less of both."""
+    """Return sets with their score at the worst point, ranked by the lower of both scores."""
     reaches = [(point.name, point.reach(targets, actuators)) for point in points]
     place = {name: k for k, name in enumerate(actuators)}
     result = []
@@ -103,7 +104,7 @@ def held(
 
 
 def gone(targets: Sequence[Mode], points: Sequence[LoopPoint]) -> tuple[str, ...]:
-    """Say which targets are no mode of a point."""
+    """Return which targets do not exist at a point, in words."""
     return tuple(
         f"at {point.name}: no mode with the shape of {target.name} below the damping limit"
         for point in points

@@ -1,9 +1,9 @@
-"""Which actuator with which signal: controllability and observability of a mode in each loop.
+"""Selection of actuator and signal: controllability and observability of a mode in each loop.
 
 The geometric index of the literature,
-|b^T w| |c v| / (|b| |w| |c| |v|), changes with the scaling of the states: in raw mixed units it
-says nothing. Ranked is therefore the product of the mode's normalised pole vectors, which no
-change of state coordinates can move; the geometric index is given beside it, in stated coordinates.
+|b^T w| |c v| / (|b| |w| |c| |v|), changes with the scaling of the states: in mixed units it is
+meaningless. Loops are therefore ranked by the product of the mode's normalised pole vectors, which is
+invariant to state coordinates; the geometric index is given too, in stated coordinates.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ class Loop:
     Attributes
     ----------
     actuator, signal : such as ``G4_vs`` and ``dw24``.
-    index : controllability * observability, 0..1; what the ranking sorts by.
+    index : controllability * observability, 0..1; the ranking criterion.
     controllability : \|w b_j\| / \|w B\|, the actuator's part in the mode's input pole vector.
     observability : \|c_i v\| / \|C v\|, the signal's part in the mode's output pole vector.
     residue : (c v)(w b), unit of the signal per unit of the actuator and second; its angle is the
-        phase a controller has to make up.
+        phase that a controller must compensate.
     geometric : the geometric index in the coordinates stated by `Loops.coordinates`.
     outputs : the signal as weights of plant outputs.
     """
@@ -70,7 +70,7 @@ class Loops:
 
 
 def difference_signals(areas: Mapping[str, int]) -> dict[str, dict[str, float]]:
-    """Speed differences of all machine pairs in different areas, named as in ``dw24`` (G2 less G4).
+    """Speed differences of all machine pairs in different areas, with names such as ``dw24`` (G2 minus G4).
 
     areas : machine name -> area. Machines called G1..G9 give ``dw24``, others ``dw_NAME_NAME``.
     """
@@ -83,7 +83,7 @@ def difference_signals(areas: Mapping[str, int]) -> dict[str, dict[str, float]]:
 
 
 def actuators_of(inputs: Sequence[str]) -> list[str]:
-    """Return the inputs of a plant that a controller may drive: exciters' and those of devices at buses.
+    """Return the inputs of a plant for a controller: those of exciters and of devices at buses.
 
     >>> actuators_of(["G1_vs", "svc1_v_mod", "vsc1_q_mod_from", "torque"])
     ['G1_vs', 'svc1_v_mod', 'vsc1_q_mod_from']
@@ -92,7 +92,7 @@ def actuators_of(inputs: Sequence[str]) -> list[str]:
 
 
 def require_actuator(names: Sequence[str]) -> None:
-    """Refuse a plant without an input that a controller could drive."""
+    """Reject a plant without an input for a controller."""
     if not names:
         raise ModeError(
             "no machine has an exciter that takes a signal (an input *_vs) and no bus an SVC or STATCOM "
@@ -112,7 +112,7 @@ def rank_loops(
     order: int = 6,
     least: float = 1e-9,
 ) -> Loops:
-    r"""Rank actuators and signals by how well they reach and see a mode.
+    r"""Rank actuators and signals by controllability and observability of a mode.
 
     With :math:`A v = \lambda v,\ w^T A = \lambda w^T,\ w^T v = 1` the loop from actuator j to signal i
     has the residue :math:`R_{ij} = (c_i v)(w^T b_j)`, and the index is
@@ -127,16 +127,16 @@ def rank_loops(
     mode : the mode to damp, of this very system.
     signals : signal name -> {plant output: weight}; default the speed differences between `areas`.
     areas : machine name -> area, needed when `signals` is not given.
-    actuators : plant inputs; default as `actuators_of`.
-    own_machine : rank a difference only with actuators of its own machines, so that
-        one of its two parts is local (as the wide-area schemes do).
-    order : order of the balanced reduction in whose coordinates the geometric index is taken.
-    least : a mode whose largest residue is below this part of the largest gain the plant has at the
-        mode's frequency cannot be reached or seen.
+    actuators : plant inputs; default `actuators_of`.
+    own_machine : rank a difference only with actuators of its own machines, so that one of its two parts is
+    local.
+    order : order of the balanced reduction whose coordinates define the geometric index. least : share of the
+    plant's largest gain at the mode's frequency; a mode with smaller residues is not controllable or
+    observable.
 
     Raises
     ------
-    ModeError : the mode is not of this system, or no candidate reaches and sees it.
+    ModeError : the mode is not of this system, or no candidate controls and observes it.
     ValueError : unknown signals or actuators.
     """
     signals = _candidate_signals(signals, areas)
@@ -215,15 +215,15 @@ def _require_mode_of(A: Matrix, mode: Mode) -> None:
 def lead_by_coordinates(
     system: control.StateSpace, loops: Loops, eigenvalue: complex, orders: Sequence[int] = (6, 8, 16)
 ) -> list[dict[str, Any]]:
-    """Return, for several state coordinates, which candidate the geometric index puts first.
+    """Return the first candidate by the geometric index, for several state coordinates.
 
-    system : as given to `rank_loops`. orders : balanced reductions whose coordinates are tried, beside those
-    of the whole system, as modelled and balanced.
+    system : as in `rank_loops`. orders : balanced reductions whose coordinates are tried, besides those of
+    the whole system, as modelled and balanced.
 
     Returns
     -------
     rows: `coordinates`, `best` [actuator, signal], `indices` of the candidates in the order of
-    `loops.ranking`, and `lead`, the index of `loops.selected` over the best of the others, less 1; negative:
+    `loops.ranking`, and `lead`, the index of `loops.selected` over the best of the others, minus 1; negative:
     another is first.
     """
     signals = {loop.signal: dict(loop.outputs) for loop in loops.ranking}

@@ -1,10 +1,10 @@
-r"""How many modes lie within a region, by the argument principle on the small network matrix.
+r"""Number of modes within a region, by the argument principle on the small network matrix.
 
 .. math:: \frac{1}{2\pi} \oint d \arg \det N(s) = \text{modes} - \text{device poles within}
 
-The modes already found and the device poles near the edge are divided out first: what is left turns slowly
-unless one is missing, so that few steps suffice. A step is accepted when the change of log det agrees with
-its derivative at both ends; halving until phases are close can count a turn too few.
+Known modes and device poles near the boundary are divided out first: the phase of the rest changes slowly
+unless one is missing, so few steps suffice. A step is accepted if the change of log det agrees with its
+derivative at both ends; halving until phases are close could miss a turn.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _BEYOND = 100.0  # times the fastest pole: there the logarithm has settled
 
 
 class OnTheLine(InterareaError):
-    """A mode or pole lies on the edge of the region, near the frequency or damping of `side`."""
+    """A mode or pole lies on the boundary of the region, near the frequency or damping of `side`."""
 
     def __init__(self, side: str) -> None:
         super().__init__(side)
@@ -45,7 +45,7 @@ class OnTheLine(InterareaError):
 class Region:
     """Modes of frequencies within a band whose damping ratio is below a limit, growth up to `RIGHT`.
 
-    band : rad/s; below : damping ratio, under 1; moved : what was done about modes on its edge.
+    band : rad/s; below : damping ratio, under 1; moved : changes because of modes on its boundary.
     """
 
     band: tuple[float, float]
@@ -77,7 +77,7 @@ class Region:
         return [(name, corners[k], corners[(k + 1) % 4]) for k, name in enumerate(names)]
 
     def aside(self, side: str) -> Region:
-        """Return the region with one side moved outwards a little, and say so."""
+        """Return the region with one side moved outwards a little, with a note in `moved`."""
         hz = 2.0 * np.pi
         low, high = self.band
         if side == "below":
@@ -90,7 +90,7 @@ class Region:
         return replace(self, band=ends, moved=(*self.moved, f"{message}: a mode lies on that line"))
 
     def clear_of(self, modes: Sequence[complex]) -> Region:
-        """Return the region with the sides moved on which one of `modes` lies."""
+        """Return the region with every side moved on which one of `modes` lies."""
         region = self
         for _ in range(10):
             z = np.asarray(modes, dtype=complex)
@@ -109,9 +109,9 @@ class Region:
 
 @dataclass(frozen=True)
 class Rectangle:
-    """What is slower than `top`, rad/s, and between two real parts, 1/s; real eigenvalues and pairs.
+    """Eigenvalues slower than `top`, rad/s, and between two real parts, 1/s; real ones and pairs.
 
-    Its edge is the upper half of a rectangle, closed by the real axis; the lower half mirrors it.
+    Its boundary is the upper half of a rectangle, closed by the real axis; the lower half mirrors it.
     """
 
     left: float
@@ -136,14 +136,14 @@ class Rectangle:
 
 
 def all_that_grows(loop: Loop) -> Rectangle:
-    """Return where eigenvalues grow faster than `SLOWEST`, a hundred times as far as the fastest pole."""
+    """Return the region of growth faster than `SLOWEST`, a hundred times as large as the fastest pole."""
     far = _BEYOND * float(np.abs(loop.poles).max(initial=1.0))
     return Rectangle(SLOWEST, far, far)
 
 
 @dataclass(frozen=True)
 class Count:
-    """Modes within a region: how many there are, and at how many points N(s) was factored for that."""
+    """Number of modes within a region, and number of points at which N(s) was factored."""
 
     modes: int
     factorisations: int
@@ -152,11 +152,11 @@ class Count:
 def count_modes(loop: Loop, region: Region | Rectangle, known: Sequence[complex]) -> Count:
     """Count the modes within `region`.
 
-    known : some of them or beside them, imaginary part 0 or above, which makes it quick.
+    known : modes inside or near the region, imaginary part 0 or above; they make the count fast.
 
     Raises
     ------
-    OnTheLine : a mode lies on the edge.
+    OnTheLine : a mode lies on the boundary.
     """
     poles, modes = loop.poles, np.asarray(known, dtype=complex)
     inner_poles = int(np.sum(region.holds(poles)))
@@ -207,7 +207,7 @@ class _Edge:
         return complex(self._loop.logarithm(s) + known)
 
     def turn(self, side: str, start: complex, end: complex) -> float:
-        """Return by how much the phase changes from `start` to `end`, rad."""
+        """Return the change of phase from `start` to `end`, rad."""
         length, direction = abs(end - start), (end - start) / abs(end - start)
         (value, slope), done, total = self.at(start), 0.0, 0.0
         step = min(length, _FIRST)

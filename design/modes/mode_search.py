@@ -1,4 +1,4 @@
-"""Eigenpairs of a large matrix in a region: rational Krylov cells find, inverse iteration cleans them."""
+"""Eigenpairs of a large matrix in a region, by rational Krylov spaces and inverse iteration."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class _Cell:
         return 0.5 * float(np.hypot(self.real[1] - self.real[0], self.imag[1] - self.imag[0]))
 
     def within(self, centre: complex, radius: float) -> bool:
-        """Whether a disc holds all of it."""
+        """Whether a disc contains the whole cell."""
         corners = (complex(x, y) - centre for x in self.real for y in self.imag)
         return all(abs(corner) <= radius for corner in corners)
 
@@ -83,7 +83,7 @@ def _cells(region: Region, wanted: int) -> list[_Cell]:
 
 @dataclass
 class Search:
-    """Looks for the eigenpairs of a loop within a region, and remembers those it has."""
+    """Searches the eigenpairs of a loop within a region, and stores them."""
 
     loop: Loop
     region: Region | Rectangle
@@ -95,12 +95,12 @@ class Search:
     _random: np.random.Generator = field(default_factory=lambda: np.random.default_rng(7))
 
     def about(self, centre: complex) -> None:
-        """Look once about a point, with what is known left out."""
+        """Search once around a point, with known pairs deflated."""
         sides = (centre.real - 1e-3, centre.real + 1e-3), (centre.imag - 1e-3, centre.imag + 1e-3)
         self._keep(self._ritz(_Cell(*sides), _MOST_STEPS, deflated=True)[0])
 
     def everywhere(self, region: Region) -> None:
-        """Look once in every cell of a region; what a look did not reach is looked at in smaller ones."""
+        """Search once in every cell of a region; parts not covered are searched in smaller cells."""
         todo = _cells(region, max(1, round(self.loop.nstates / _STATES_A_CELL)))
         discs: list[tuple[complex, float]] = []
         while todo:
@@ -117,7 +117,8 @@ class Search:
                 todo += cell.halves()
 
     def again(self) -> bool:
-        """Look once more with what is known left out, right of the axis as well; whether that found any."""
+        """Search once more with known pairs deflated, also right of the axis; return whether any was
+        found."""
         before = len(self.pairs)
         right = [_Cell((_GROWTH, RIGHT), cell.imag) for cell in self._cells]
         for cell in [*self._cells, *right]:

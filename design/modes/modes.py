@@ -1,8 +1,7 @@
 """Swing modes of a linear plant, named by their shape and never by their position.
 
-A mode is electromechanical when rotor angles and speeds carry its participation. Who swings
-against whom is read from the machine speeds: area against area is `inter-area`, machines
-against each other inside area k are `local area k`.
+A mode is electromechanical when rotor angles and speeds carry its participation. The machine speeds show the
+pattern: area against area is `inter-area`, machines against each other inside area k are `local area k`.
 """
 
 from __future__ import annotations
@@ -32,11 +31,11 @@ ComplexMatrix = NDArray[np.complex128]
 
 
 class ModeError(UserError):
-    """A mode that was asked for is not in the system."""
+    """A requested mode is not in the system."""
 
 
 class Participation(Mapping[str, float]):
-    """What each state takes part in a mode; an array with the states' names, of which a grid has many."""
+    """Participation of each state in a mode: an array with the names of the states."""
 
     def __init__(self, states: Sequence[str] = (), factors: Matrix | None = None) -> None:
         self._states = states
@@ -55,7 +54,7 @@ class Participation(Mapping[str, float]):
         return len(self._states)
 
     def most(self, count: int) -> dict[str, float]:
-        """Return the `count` states that take part most."""
+        """Return the `count` dominant states."""
         order = np.argsort(-self._factors, kind="stable")[:count]
         return {self._states[k]: float(self._factors[k]) for k in order}
 
@@ -72,7 +71,7 @@ class Mode:
     participation : state -> \|w_i v_i\| / sum \|w_k v_k\|; sums to 1.
     share : part of the machines' motion that has the named pattern, 0..1.
     right, left : v and w, shape (n,).
-    rivals : eigenvalues, 1/s, of modes that the name would fit nearly as well.
+    rivals : eigenvalues, 1/s, of modes that fit the name nearly as well.
     """
 
     name: str
@@ -94,7 +93,7 @@ class Mode:
 
     @property
     def caveat(self) -> str:
-        """Why the name is not certain, in words; empty when it is."""
+        """Reason why the name is uncertain; empty if it is certain."""
         listed = ", ".join(f"{z.real:.4g}{z.imag:+.4g}j" for z in self.rivals)
         return f"{self.name} may also be the mode at {listed}" if listed else ""
 
@@ -109,11 +108,11 @@ class Mode:
         return damping_ratio(self.eigenvalue)
 
     def most(self, count: int) -> dict[str, float]:
-        """Return the `count` states that take part most, by participation."""
+        """Return the `count` dominant states, by participation."""
         return self.participation.most(count)
 
     def sensitivity(self, dA: Matrix) -> complex:
-        r"""First-order move of the eigenvalue, :math:`d\lambda = w^T\, dA\, v` (1/s), for dA (n, n)."""
+        r"""First-order change of the eigenvalue, :math:`d\lambda = w^T\, dA\, v` (1/s), for dA (n, n)."""
         dA = np.asarray(dA)
         n = self.right.size
         if dA.shape != (n, n):
@@ -166,7 +165,7 @@ def modes_of(
     band_hz: tuple[float, float] = (0.05, 4.0),
     least_share: float = 0.25,
 ) -> Modes:
-    r"""Find and name the N - 1 swing modes of a plant with N machines; one alone has none.
+    r"""Compute and name the N - 1 swing modes of a plant with N machines; a single machine has none.
 
     Swing modes are among the oscillatory modes of the band in which the machines' angles (states
     ``*.delta*``) and speeds (the states its outputs ``*_dw`` read) take part. With right and left speeds
@@ -176,24 +175,22 @@ def modes_of(
               \quad\text{and}\quad
               \Big|\sum_{m \in k} (w_m - \bar w_k)(v_m - \bar v_k)\Big| \;\text{(inside area k)},
 
-    relative to all states of the mode, and N - 1 = (areas - 1) + sum (n_k - 1) names are given out so that
-    the total is largest. So a controller's own mode, which drives the machines along, is not taken for
-    a swing mode of the closed loop. A mode with less than `least_share` in its pattern is
-    called ``mixed``; one whose name another mode fits nearly as well says so (`Mode.caveat`). A reduced
-    model has no states that are speeds: there shapes alone decide, v for both, on the N - 1 modes that ring
-    most. Several modes of one kind are numbered by frequency: ``inter-area 1``,
-    ``local area 2.1``.
+    relative to all states of the mode, and N - 1 = (areas - 1) + sum (n_k - 1) names are assigned so that the
+    total is largest. A controller mode that moves the machines is therefore not taken for a swing mode of the
+    closed loop. A mode with less than `least_share` in its pattern is called ``mixed``; if another mode fits
+    a name nearly as well, `Mode.caveat` states it. A reduced model has no states that are speeds: there
+    shapes alone decide, v for both, on the N - 1 modes whose speeds are largest relative to their decay rate.
+    Several modes of one kind are numbered by frequency: ``inter-area 1``, ``local area 2.1``.
 
     Parameters
     ----------
     system : outputs ``G1_dw`` ... for every machine of `areas`; any unit of speed.
     areas : machine name -> area number.
-    band_hz : where swing modes are looked for.
+    band_hz : frequency band of the swing modes.
 
     Raises
     ------
-    ModeError : a speed output is missing, fewer swing modes than machines ask for, or no
-        inter-area mode among them.
+    ModeError : a speed output is missing, fewer than N - 1 swing modes, or no inter-area mode among them.
     """
     machines = list(areas)
     C = _speed_rows(system, machines)
@@ -268,7 +265,7 @@ class _Spectrum:
         return cls(np.asarray(values, dtype=complex), left, right, participation, weight)
 
     def swinging(self, system: Linear, C: Matrix, band_hz: tuple[float, float]) -> list[int]:
-        """The modes of the band in which angles and speeds take part, most first."""
+        """The modes of the band with participation of angles and speeds, largest first."""
         low, high = (2.0 * np.pi * f for f in band_hz)
         share = _mechanical_share(system, C, self.participation, self.values, self.right)
         usable = np.flatnonzero(np.isfinite(self.weight) & (self.weight > 0.0))
@@ -276,9 +273,9 @@ class _Spectrum:
         return sorted((i for i in inside if share[i] > 0.05), key=lambda i: -share[i])
 
     def fit(self, i: int, C: Matrix, states: list[int] | None, area_of: list[int]) -> dict[str, float]:
-        """How much of each pattern mode i has: of the participation of all states, or of its shape.
+        """Share of each pattern in mode i: of the participation of all states, or of its shape.
 
-        states : those that are speeds; None in a reduced model.
+        states : the speeds; None in a reduced model.
         """
         if states is None:
             return pattern_energies(C @ self.right[:, i], area_of)

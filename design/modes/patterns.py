@@ -1,4 +1,4 @@
-"""Who swings against whom: how much of each pattern a mode has, and which name fits which mode.
+"""Patterns of swing modes: the share of each pattern in a mode, and the assignment of names to modes.
 
 The patterns are the areas against each other and, inside area k, its machines against each other.
 """
@@ -33,8 +33,9 @@ def pattern_energies(shape: ComplexMatrix, area_of: list[int]) -> dict[str, floa
 def pattern_parts(left: ComplexMatrix, right: ComplexMatrix, area_of: list[int]) -> dict[str, float]:
     """Participation of each pattern in a mode, from its speeds (machines,) left and right.
 
-    As a state's is |w_i v_i|, that of a pattern is |w^T P v| with the projector P on it: between areas, or
-    inside area k. What a controller drives along swings in v alone, what only acts on it is in w alone.
+    The participation of a state is |w_i v_i|, that of a pattern |w^T P v| with the projector P on it: between
+    areas, or inside area k. Motion that a controller only drives is in v alone, motion that only drives it in
+    w alone.
     """
     a = np.asarray(area_of)
     mean_left, mean_right = left.mean(), right.mean()
@@ -49,10 +50,10 @@ def pattern_parts(left: ComplexMatrix, right: ComplexMatrix, area_of: list[int])
 def assigned_names(
     fits: list[dict[str, float]], area_of: list[int], least_share: float
 ) -> dict[int, tuple[str, float, list[int]]]:
-    """Give out the names so that they fit best together.
+    """Assign the names for the best total fit.
 
-    fits : of each mode, by frequency, how much of each pattern it has. Returns, for the modes that are
-    named: name, share of the named pattern among all, and the modes that the name would fit as well.
+    fits : share of each pattern in each mode, by frequency. Returns, for the named modes: name, share of the
+    named pattern among all, and the other modes that fit the name.
     """
     kinds = ["inter-area"] * (len(set(area_of)) - 1)
     for k in sorted(set(area_of)):

@@ -1,13 +1,12 @@
-r"""How the swing modes move with a parameter of the plant.
+r"""Sensitivity of the swing modes to a parameter of the plant.
 
 With left and right eigenvectors :math:`w^T A = \lambda w^T,\ A v = \lambda v,\ w^T v = 1`,
 
 .. math:: \frac{d\lambda}{dp} = w^T \frac{dA}{dp} v .
 
-A(p) is the exact Jacobian of the plant at the operating point that belongs to p, so the
-derivative contains what the parameter does to the operating point. dA/dp is a central
-difference of these Jacobians, extrapolated once: error of order h^4, estimated from the two steps.
-[Kundur1994, sec. 12.2]
+A(p) is the exact Jacobian of the plant at the operating point for p, so the derivative includes the effect of
+the parameter on the operating point. dA/dp is a central difference of these Jacobians, extrapolated once:
+error of order h^4, estimated from the two steps. [Kundur1994, sec. 12.2]
 """
 
 from __future__ import annotations
@@ -63,8 +62,8 @@ def eigenvalue_sensitivity(
     ----------
     modes : of the plant at `value`, from the same states as `matrix_of` returns.
     matrix_of : state matrix A (n, n) of the plant for a value of the parameter, operating point included.
-    value : where the derivative is taken. With 0 the difference is one-sided (many parameters may not be
-        negative) and its step is `relative_step` itself.
+    value : of the parameter. At 0 the difference is one-sided (many parameters may not be negative) and its
+    step is `relative_step` itself.
     relative_step : of the wider difference, times \|value\|. step : to both sides, in its place, also at 0.
 
     Raises
@@ -114,7 +113,7 @@ def sparse_sensitivity(
     parameter: str,
     step: float | None = None,
 ) -> Mapping[str, Sensitivity]:
-    """Return the same for modes of a sparse plant: w' A(p) v needs no matrix.
+    """Return the sensitivities of modes of a sparse plant: w' A(p) v needs no matrix.
 
     plant_of : the plant for a value of the parameter, operating point included, of the same states.
     step : as `eigenvalue_sensitivity`.

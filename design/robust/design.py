@@ -1,11 +1,9 @@
-"""Fixed-order controllers that hold the worst damping up over operating points, losses and latencies.
+"""Fixed-order controllers that maximise the worst damping over operating points, losses and latencies.
 
-The recipe: reduce each operating point's plant, put a Pade model of each latency
-and a washout in, and minimise the smoothed objective of `smoothed_objective.py`:
-with L-BFGS from several random stable starts, or in stages (`stages.py`) with
-steps that follow each eigenvalue (`newton.py`), from first guesses made for the
-loops. What comes out is only a proposal: `operating_points.py` judges it on the
-full plants with exact delays.
+Each operating point's plant is reduced and extended by a Pade model of each latency and a washout. The
+smoothed objective of `smoothed_objective.py` is minimised with L-BFGS from several random stable starts, or
+in stages (`stages.py`) with steps that follow each eigenvalue (`newton.py`), from first guesses for the
+loops. The result is only a proposal: `operating_points.py` evaluates it on the full plants with exact delays.
 """
 
 from __future__ import annotations
@@ -62,12 +60,12 @@ def design_robust(
     ----------
     plants : operating point -> full linear plant without reference mode, outputs in pu as linearised.
     omega_b : rated speed, rad/s.
-    progress : called with (what is under way, share of the whole that is done at most, objective reached).
+    progress : called with (present step, upper bound of the completed share, best objective).
 
     Raises
     ------
-    InfeasibleDesign : no start led to a controller that keeps every design model stable, or an unstable
-        mode is out of reach. ValueError : plants that no design model can be made of.
+    InfeasibleDesign : no start led to a controller that stabilises every design model, or an unstable mode is
+    not controllable. ValueError : plants without a design model.
     """
     objective = build_objective(plants, spec, omega_b)
     report = _whole(planned(spec, len(objective.models) / len(plants), len(plants)), progress)
@@ -114,7 +112,7 @@ def design_robust(
 
 
 def planned(spec: RobustSpec, conditions: float, points: int) -> dict[str, float]:
-    """Return what a search does, in order, and what each part costs at most: evaluations of a design model.
+    """Return the parts of a search in order, with the largest cost of each in evaluations of a design model.
 
     conditions : models of each of the `points`.
 
@@ -217,7 +215,7 @@ def given_start(objective: Objective, spec: RobustSpec) -> Array:
 
     Raises
     ------
-    UserError : it has other signals, actuators or another order than the design.
+    UserError : its signals, actuators or order differ from the design.
     """
     K, n, m = spec.start, objective.order, len(spec.actuators)
     assert K is not None
@@ -288,9 +286,9 @@ def _descend_briefly(objective: Objective, start: Array) -> tuple[Array, int]:
 
 
 def balanced_parameters(objective: Objective, theta: Array) -> Array:
-    """Return the same controller in coordinates where both its Gramians are equal and diagonal.
+    """Return the same controller in balanced coordinates (both Gramians equal and diagonal).
 
-    Of a decentralised one each part by itself. One that is not stable, or not minimal, stays as it is.
+    Each part of a decentralised controller separately. An unstable or non-minimal one is not changed.
     """
     A, B, C, D = (M.copy() for M in objective.unpack(theta))
     for states in objective.parts:

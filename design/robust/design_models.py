@@ -67,10 +67,11 @@ def build_objective(plants: Mapping[str, control.StateSpace], spec: RobustSpec, 
 
 
 def without_common_speed(plant: control.StateSpace, slower_than: float = COMMON_SPEED) -> control.StateSpace:
-    """Return the plant less the mode of its common speed, where that does not return by itself.
+    """Return the plant without the mode of its common speed, if that speed does not return to its initial
+    value.
 
-    Without governors it is the slowest of all (0 where no torque depends on the speed). No controller with
-    K(0) = 0 moves it. slower_than : rad/s.
+    Without governors it is the slowest mode (0 if no torque depends on the speed). No controller with K(0) =
+    0 moves it. slower_than : rad/s.
     """
     A, B, C, D = (np.asarray(M, dtype=float) for M in (plant.A, plant.B, plant.C, plant.D))
     if not np.abs(np.linalg.eigvals(A)).min(initial=np.inf) < slower_than:
@@ -165,9 +166,9 @@ def _effort_grid(
 
 
 def tightened(spec: RobustSpec, margin_deg: float) -> SwingPenalty:
-    """Return the penalty on the first swing at this margin, its signals behind the washout where one is.
+    """Return the penalty on the first swing at this margin, with its signals after the washout, if any.
 
-    The washout is in series with each output, but linear and the same for all: it may stand before K.
+    The washout is in series with each output, but it is linear and the same for all, so it commutes with K.
     """
     assert spec.swing is not None
     if not spec.washout_s > 0.0:

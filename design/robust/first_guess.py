@@ -1,15 +1,15 @@
-r"""A first controller by phase compensation for every loop, mode, operating point and condition at once.
+r"""First guess of a controller: phase compensation for all loops, modes, operating points and conditions.
 
 With its poles and inputs fixed a controller is linear in its output gains, :math:`K(s) = C H(s)`, and to
 first order every eigenvalue of the open loops moves by
 
 .. math:: \Delta\lambda_k = \sum_{ij} (l_k b_i)\, K_{ij}(\lambda_k)\, (c_j r_k),
 
-its residues times the controller. The gains within bounds that do most for the worst of all these
-eigenvalues are a linear programme: what lead and lag with the right sign do for one mode and one loop.
-With its poles and outputs fixed it is linear in its input gains too. Where a part sees more than two signals
-a second programme looks for those: it finds the sum of signals in which the other modes cancel, and of which
-any one may be lost, which few drawn sums are near. The better of the two is the guess.
+its residues times the controller. A linear programme gives the bounded gains that improve the worst of these
+eigenvalues most: a generalisation of lead-lag compensation of one mode by one loop. With its poles and
+outputs fixed it is linear in its input gains too. Where a part has more than two signals, a second programme
+determines these gains: it finds the sum of signals in which other modes cancel, and of which any one may be
+lost; few random sums are near it. The better of the two is the guess.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ FACTORS = np.geomspace(1.0, 1e-3, 25)
 def first_guess(objective: Objective, rng: np.random.Generator, bound: float) -> Array:
     """Return the parameters of a controller with random real poles and the best gains for them.
 
-    bound : of every gain that is looked for, pu per rad/s.
+    bound : of every gain, pu per rad/s.
     """
     n, p, m = objective.order, objective.n_y, objective.n_u
     slowest = max(SLOWEST, 1.5 * objective.slowest_pole)

@@ -1,8 +1,8 @@
-r"""Steps of the smoothed worst damping that follow every nearly worst eigenvalue by itself.
+r"""Newton steps on the smoothed worst damping that follow every nearly worst eigenvalue separately.
 
-A designed loop has dozens of eigenvalues that are equally bad. The objective has a slope jump wherever two
-of them are, so a quadratic of it, or the memory of a quasi-Newton method, holds for a fraction of the way to
-the next. Each eigenvalue alone runs nearly straight. With :math:`v_k` what is left of its damping,
+A designed loop has dozens of equally bad eigenvalues. The objective has a slope discontinuity wherever two of
+them meet, so a quadratic model of it, or the memory of a quasi-Newton method, is valid for only a fraction of
+the distance to the next. Each eigenvalue alone is nearly linear. With :math:`v_k` its shortfall of damping,
 :math:`g_k` its gradient and :math:`p_k \propto e^{\rho v_k}`, a step is the least value over :math:`x` of
 
 .. math:: \frac1\rho \log \sum_k e^{\rho (v_k + g_k^T x)} + \tfrac12 x^T |H| x
@@ -13,10 +13,9 @@ the second derivatives from
 .. math:: d^2\lambda_k = l_k\, d^2\!A\, r_k
     + 2 \sum_{j \ne k} \frac{(l_k\, dA\, r_j)(l_j\, dA\, r_k)}{\lambda_k - \lambda_j} .
 
-The sum is convex: of H the magnitudes of its eigenvalues are taken, so that a direction is held back as much
-where the worst would fall faster than straight as where it would rise: there, as when two eigenvalues meet,
-the straight line is trusted no further. :math:`h_j` are the bounds of effort and poles; :math:`\sigma` grows
-where a step falls short of what was foreseen.
+The sum is convex, because |H| has the magnitudes of the eigenvalues of H: negative curvature limits a step as
+much as positive curvature, since the linear model is valid no further in either case. :math:`h_j` are the
+bounds of effort and poles; :math:`\sigma` grows if a step gains less than predicted.
 """
 
 from __future__ import annotations
@@ -63,7 +62,7 @@ def newton_descent(
     held : sigma of the first step, in units of the unknowns' scale.
     least : ends where five steps gain less than this in all.
     progress : called before each step with the share of the steps that is done and the objective.
-    over : whether no more step is to be begun.
+    over : whether to begin no further step.
     """
     theta = balanced(objective, start)
     value, count = objective.value(theta), 1
@@ -122,9 +121,9 @@ def _scale(objective: Objective, theta: Array) -> Array:
 
 @dataclass(frozen=True)
 class Expansion:
-    """What the objective is near one controller, over moves in units of the unknowns' scale.
+    """Local model of the objective near one controller, in units of the unknowns' scale.
 
-    A penalty on the first swing is left out of it.
+    It does not include the penalty on the first swing.
     """
 
     rho: float
@@ -136,12 +135,12 @@ class Expansion:
     bounds: Array  #: (h, n) their gradients
 
     def convex(self) -> Expansion:
-        """Return it with the magnitudes of the curvature's eigenvalues."""
+        """Return the expansion with the magnitudes of the curvature's eigenvalues."""
         values, directions = np.linalg.eigh(self.curvature)
         return replace(self, curvature=(directions * np.abs(values)) @ directions.T)
 
     def value(self, move: Array) -> float:
-        """Return the objective as it is foreseen."""
+        """Return the predicted objective."""
         worst, _ = self._weighed(move)
         over = np.maximum(self.hinges + self.bounds @ move, 0.0)
         return worst + 0.5 * float(move @ self.curvature @ move) + float(over @ over)
@@ -160,7 +159,7 @@ class Expansion:
         return gradient, self.curvature + self.rho * differences.T @ differences + 2.0 * active.T @ active
 
     def least(self, held: float) -> tuple[Array, float]:
-        """Return the move of least value, `held` / 2 times its square added, and by how much `value` falls.
+        """Return the step of least value plus `held` / 2 times its square, and the decrease of `value`.
 
         The curvature has no negative eigenvalue (`convex`).
         """
