@@ -1,1 +1,1 @@
-"""The grid: network, power flow, equilibrium, and the tables that the C plant reads."""
+"""The grid: network, power flow, equilibrium, and the tables of the C plant."""

@@ -2,7 +2,7 @@
 
 These saturate or have X''d != X''q.
 
-A port is where a nonlinear element meets the linear network (plant/network/port.h); rows as `P_*` of
+A port connects a non-linear element to the linear network (plant/network/port.h); rows as `P_*` of
 plant/numbers/layout.h.
 """
 
@@ -45,7 +45,7 @@ def has_port(machine: Machine) -> bool:
 
 
 def saturation_of(machine: Machine) -> Saturation | None:
-    """Return the saturation of `machine` in use, None when there is none."""
+    """Return the saturation of `machine`, None if it has none."""
     saturation = machine.saturation
     return None if saturation is None or saturation.use == "none" else saturation
 
@@ -91,7 +91,7 @@ def port_table(
 ) -> npt.NDArray[np.float64]:
     """Return the ports of the C plant, (ports, rows).
 
-    load_volts : voltage magnitude of each load at rest, pu.
+    load_volts : initial voltage magnitude of each load, pu.
     order : position in the case of each machine of the plant; gaps : its air gap, in that order, None for
         machines without a port. devices : rows of the ports of devices at buses (`device_ports`).
     """
@@ -108,9 +108,9 @@ def port_table(
 def port_rest(
     case: Case, voltages: npt.NDArray[np.complex128], gaps: Sequence[AirGap | None], angles: Sequence[float]
 ) -> npt.NDArray[np.float64]:
-    """Return the voltages of the ports at rest, (2, ports): real and imaginary parts.
+    """Return the initial voltages of the ports, (2, ports): real and imaginary parts.
 
-    Where constant power is drawn there are other solutions, at low voltage; the plant starts from this one.
+    With constant power other solutions exist, at low voltage; the plant starts from this one.
     voltages : (buses,); gaps, angles : of each machine its air gap, if it has a port, and its rotor angle.
     """
     place = {bus.number: k for k, bus in enumerate(case.buses)}

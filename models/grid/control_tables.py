@@ -1,4 +1,4 @@
-"""The controls of a case as the C plant takes them: groups of one device and structure."""
+"""The controls of a case in the layout of the C plant: groups of one device and structure."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Device:
-    """A control at rest; `output`: the states and inputs that its output depends on."""
+    """A control at its equilibrium; `output`: the states and inputs that determine its output."""
 
     word: str  #: exciter, stabilizer, ...
     place: int  #: of its machine or, after all machines, of the device at a bus
@@ -68,9 +68,10 @@ class Device:
         return [self.rest.instance.values[row] for row in given_rows(self.rest.instance.model)]
 
     def parameters(self) -> Iterator[Parameter]:
-        """What a user may change: what is in use and decides no structure; of a converter or dc link nothing.
+        """Parameters that a user may change: active ones without effect on the structure; none of converters
+        or links.
 
-        These have several set-points, of which the plant would find only one anew.
+        These have several set-points, of which the plant would recompute only one.
         """
         if self.word in (*OF_CONVERTER, *OF_LINK):
             return
@@ -105,7 +106,7 @@ def _unit(unit: str) -> str:
 
 @dataclass(frozen=True)
 class Unrest:
-    """A control that cannot rest, with what its device was asked for: a device, its numbers, what it sees.
+    """A control without an equilibrium: its device, parameters and input values.
 
     `word` is the control of a machine, "control" of a device at a bus.
     """
@@ -121,7 +122,7 @@ class Unrest:
 
 
 class StartError(CaseError):
-    """Controls that cannot rest at the operating point."""
+    """Controls without an equilibrium at the operating point."""
 
     def __init__(self, unrest: list[Unrest]) -> None:
         more = f" (and {len(unrest) - 1} more: interarea modes CASE --margins)" if len(unrest) > 1 else ""
@@ -144,7 +145,7 @@ class Group:
 
 
 def modulation(key: str) -> str:
-    """Return the word of the input of an SVC or STATCOM, or of a series capacitor."""
+    """Return the name part of the input of an SVC, STATCOM or series capacitor."""
     return "x_mod" if key == "tcsc" else "v_mod"
 
 
@@ -165,7 +166,7 @@ class Given:
 
 @dataclass(frozen=True)
 class Controls:
-    """All controls of a case at rest."""
+    """All controls of a case at their equilibrium."""
 
     devices: tuple[Device, ...]  #: kind by kind as NUMBERED, in the order of the machines
     groups: tuple[Group, ...]  #: in the order in which their states are numbered
@@ -198,7 +199,7 @@ class Controls:
         return tuple(sorted((d for d in self.devices if d.word in AT_BUS), key=lambda d: d.place))
 
     def outputs(self, word: str) -> tuple[frozenset[str], ...]:
-        """Return of each machine what its device's output depends on."""
+        """Return the states and inputs that determine the output of each machine's device."""
         output_of = {d.place: d.output for d in self.of(word)}
         return tuple(output_of.get(k, frozenset()) for k in range(self.seen.shape[1]))
 
@@ -207,7 +208,7 @@ class Controls:
         return [d.states[j] for g in self.groups for j in range(len(g.devices[0].states)) for d in g.devices]
 
     def running(self) -> tuple[tuple[Group, int], ...]:
-        """Return the groups in the order in which the plant runs them, each with its first state's place."""
+        """Return the groups in the order of execution, each with the position of its first state."""
         first, place = 0, {}
         for g in self.groups:
             place[id(g)] = first
@@ -221,11 +222,11 @@ class Controls:
 def controls_at_rest(
     case: Case, points: tuple[MachinePoint, ...], buses: tuple[AtRest, ...] = ()
 ) -> Controls:
-    """Return the controls of `case` at rest with its machines at `points`, its devices at buses at `buses`.
+    """Return the equilibrium of the controls of `case` for machines at `points` and devices at `buses`.
 
     Raises
     ------
-    StartError : devices that cannot rest there: which limit excludes each, by how much, what cures it.
+    StartError : devices without an equilibrium there: the limit that excludes each, by how much, the remedy.
     """
     seen, starts = rests_of(case, points, buses)
     unrest = [rest for _, _, rest in starts if isinstance(rest, Unrest)]
@@ -281,9 +282,9 @@ def rests_of(
     *,
     room: float = BEYOND,
 ) -> tuple[npt.NDArray[np.float64], list[tuple[int, str, RestPoint | Unrest]]]:
-    """Return what the devices at every place see, and each device (place, kind) at rest or why it is not.
+    """Return the input values of the devices at every place, and the equilibrium or problem of each device.
 
-    room : as `rest_of` takes it.
+    room : as in `rest_of`.
     """
     seen, own = np.zeros((len(SEEN), len(points) + len(buses))), case.own_devices
     rests: list[tuple[int, str, RestPoint | Unrest]] = []

@@ -1,4 +1,4 @@
-"""Devices at a bus whose states set a current into the network: which state, and what the plant makes of it.
+"""Devices at a bus whose states set a current into the network: the state, and its current.
 
 A device's output is a state, or a number times a state plus a number; rows of its port as `P_*` of
 plant/numbers/layout.h, equations in plant/machine/bus_device.h.
@@ -37,7 +37,8 @@ _STATES = ("lag", "integrator")  #: elements whose output is a state
 
 @dataclass(frozen=True)
 class BusPoint:
-    """A device at a bus at rest: voltage that it sees, voltage at its bus and what it gives there, pu."""
+    """Equilibrium of a device at a bus: measured voltage, voltage at its bus and power or current there,
+    pu."""
 
     seen: float
     own: float
@@ -60,15 +61,16 @@ class BusPoint:
         return {"vreg": abs(volts), "vdrop": less, "pbr": power.real, "qbr": power.imag}
 
     def source(self, share: float, impedance: complex) -> complex:
-        """Return the voltage behind a source's `impedance` against the angle of its bus, pu of its base."""
+        """Return the voltage behind a source's `impedance` relative to the angle of its bus, pu of its
+        base."""
         return self.own + impedance * self.current(share)
 
     def current(self, share: float) -> complex:
-        """Return the current into the network against the angle of the bus, pu of its base."""
+        """Return the current into the network relative to the angle of the bus, pu of its base."""
         return complex(self.p, -self.q) / self.own / share
 
     def output(self, kind: str, share: float, impedance: complex = 0.0) -> float:
-        """Return what the device gives, pu of its base, of a source its angle, rad.
+        """Return the output of the device, pu of its base; for a source its angle, rad.
 
         share : its base over that of the case. impedance : of a source, pu of its base.
         """
@@ -78,9 +80,10 @@ class BusPoint:
         return power / self.own ** (2 if COUPLINGS[kind] == SUSCEPTANCE else 1) / share
 
     def given(self, kind: str, share: float, impedance: complex = 0.0) -> dict[str, float]:
-        """Return what the device sees, of a converter also its reactive current, of a source its voltage.
+        """Return the input values of the device; for a converter also its reactive current, for a source its
+        voltage.
 
-        impedance : of a source; of a converter the drop of its plant control, pu of its base.
+        impedance : of a source; for a converter that of its plant control, pu of its base.
         """
         if kind not in OF_CONVERTER:
             return {"vt": self.seen, "vs": 0.0}
@@ -119,7 +122,8 @@ AtRest = BusPoint | LinkPoint | VscPoint  #: a device at a bus, or between two, 
 def output_and_given(
     bus: AtRest, kind: str, share: float, numbers: Mapping[str, float | str]
 ) -> tuple[float, dict[str, float]]:
-    """Return what a device at rest gives, and what it sees with its other states, pu of its base."""
+    """Return the output of a device at its equilibrium, and its input values and other states, pu of its
+    base."""
     if isinstance(bus, BusPoint) and kind == "source":
         behind = complex(float(numbers["Re"]), float(numbers["Xe"]))
         return bus.output(kind, share, behind), bus.given(kind, share, behind)
@@ -134,13 +138,13 @@ def output_and_given(
 
 
 def model_at_bus(row: Svc | Converter | Hvdc | Vsc, own: Mapping[str, Model]) -> Model:
-    """Return the device of a row; DeviceError where there is none of that name."""
+    """Return the device of a row; DeviceError if there is none of that name."""
     kinds = OF_SVC if isinstance(row, Svc) else OF_CONVERTER if isinstance(row, Converter) else OF_LINK
     return device_model(row.control.kind, kinds, own)
 
 
 def voltage_sources(case: Case) -> tuple[str, ...]:
-    """Return the names of the converters that are voltages behind an impedance, with their own angles."""
+    """Return the names of the converters that are voltage sources with their own angles."""
     own = case.own_devices
     return tuple(row.name for row in case.converters if model_at_bus(row, own).device.kind == "source")
 
@@ -150,7 +154,7 @@ def coupled_states(device: Device, numbers: Mapping[str, float | str]) -> tuple[
 
     Raises
     ------
-    DeviceError : as `coupled_state`, or an output of a converter that is no state.
+    DeviceError : as `coupled_state`, or an output of a converter that is not a state.
     """
     lines = {line.name: line for line in device.lines}
     if is_locked(numbers):
@@ -225,19 +229,20 @@ def coupling_of(instance: Instance) -> Coupling:
 
 
 def drop_of(numbers: Mapping[str, float | str]) -> complex:
-    """Return the impedance, pu of its base, by which a plant control's voltage falls with its current."""
+    """Return the compensation impedance of a plant control, pu of its base."""
     if numbers.get("plant_VCFLAG") != 1.0:
         return 0j
     return complex(float(numbers["plant_Rc"]), float(numbers["plant_Xc"]))
 
 
 def is_locked(numbers: Mapping[str, float | str]) -> bool:
-    """Return whether a converter is a voltage in the frame of a phase-locked loop (REGC_C)."""
+    """Return whether a converter is a voltage source in the frame of a phase-locked loop (REGC_C)."""
     return numbers.get("REGCC") == 1.0
 
 
 def behind_impedance(numbers: Mapping[str, float | str]) -> complex:
-    """Return the admittance, pu of its base, behind which a converter is a voltage (REGC_B); 0: a current."""
+    """Return the admittance in series with a converter's voltage (REGC_B), pu of its base; 0: a current
+    source."""
     if numbers.get("REGCB") != 1.0:
         return 0j
     return 1.0 / complex(float(numbers["Re"]), float(numbers["Xe"]))
@@ -302,8 +307,8 @@ def device_ports(
 ) -> list[list[float]]:
     """Return the rows of the ports of devices at buses, without the kind of port.
 
-    couplings : kind and coupling of each; signals : of each at rest, pu of its base. A device that sees
-    another bus than its own has a second port there, which injects nothing.
+    couplings : kind and coupling of each; signals : initial values of each, pu of its base. A device that
+    measures another bus than its own has a second port there, which injects nothing.
     """
     index = {bus.number: k for k, bus in enumerate(case.buses)}
     rows: list[list[float]] = []
@@ -359,7 +364,7 @@ def _measured_at(
 def bus_points(
     case: Case, power: npt.NDArray[np.complex128], voltages: npt.NDArray[np.complex128]
 ) -> tuple[AtRest, ...]:
-    """Return the devices at buses at rest.
+    """Return the equilibria of the devices at buses.
 
     power : P + jQ of each into the network, pu; voltages : (buses,).
     """

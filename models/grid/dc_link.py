@@ -1,4 +1,4 @@
-"""Dc links with line-commutated converters at rest: currents and angles from the voltages of both buses.
+"""Equilibrium of dc links with line-commutated converters: currents and angles from both bus voltages.
 
 Per unit on the base of the link, angles in rad; equations of plant/machine/dc_link.h.
 [Kundur1994, sec. 10.2]
@@ -20,7 +20,7 @@ _DROP = 3.0 / math.pi  #: resistance of commutation by its reactance
 
 @dataclass(frozen=True)
 class DcEnd:
-    """One converter: dc voltage without current where its bus has 1 pu, and its fall by the current."""
+    """One converter: no-load dc voltage at a bus voltage of 1 pu, and its drop by the current."""
 
     no_load: float
     drop: float
@@ -38,7 +38,7 @@ def ends_of(row: Hvdc) -> tuple[DcEnd, DcEnd]:
 
 @dataclass(frozen=True)
 class LinkPoint:
-    """A link at rest; `alpha` is no number where the rectifier's bus has too little voltage."""
+    """Equilibrium of a link; `alpha` is NaN if the voltage at the rectifier's bus is too low."""
 
     idc: float
     alpha: float
@@ -50,7 +50,7 @@ class LinkPoint:
 
     @property
     def seen(self) -> float:
-        """What the device sees where others see a voltage."""
+        """Input of the device in place of a voltage."""
         return self.vdr
 
     def output(self, kind: str, share: float) -> float:
@@ -58,13 +58,13 @@ class LinkPoint:
         return self.idc
 
     def given(self, kind: str, share: float) -> dict[str, float]:
-        """Return what the device sees, and its states at rest."""
+        """Return the input values of the device, and its initial states."""
         angles = {"iord": self.idc, "xr": self.alpha, "xi": self.gamma}
         return {"vdr": self.vdr, "vdi": self.vdi, "p_mod": 0.0, **angles}
 
 
 def link_point(row: Hvdc, u_rectifier: float, u_inverter: float) -> LinkPoint:
-    """Return the link at rest between buses of these voltages, pu."""
+    """Return the equilibrium of the link between buses of these voltages, pu."""
     rectifier, inverter = ends_of(row)
     gamma, R = math.radians(row.gamma_deg), row.r_ohm / row.base_ohm
     at_rest = inverter.no_load * u_inverter * math.cos(gamma)
@@ -97,7 +97,7 @@ def _over(a: float, b: float) -> float:
 
 
 def require_link(case: Case, row: Hvdc, point: LinkPoint, u_rectifier: float) -> None:
-    """Refuse a link that cannot rest there.
+    """Reject a link without an equilibrium there.
 
     Raises
     ------

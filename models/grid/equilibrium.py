@@ -55,7 +55,7 @@ class OperatingPoint:
 
 
 def operating_point(case: Case, power_flow: PowerFlow | None = None) -> OperatingPoint:
-    r"""Return the equilibrium of `case` at its power flow (solved here when not given).
+    r"""Return the equilibrium of `case` at its power flow (computed if not given).
 
     With terminal voltage V and current I of a machine, :math:`\delta = \arg(V + (R_a + jX_q) I)`; in the
     rotor frame :math:`(v_q - j v_d) = V e^{-j\delta}`, :math:`(i_q - j i_d) = I e^{-j\delta}` and
@@ -68,13 +68,13 @@ def operating_point(case: Case, power_flow: PowerFlow | None = None) -> Operatin
     With saturation, X_q in the angle becomes :math:`X_l + K_s (X_q - X_l)` and the rotor circuits see
     :math:`i_d + i_{sd}`, :math:`i_q + i_{sq}` (plant/machine/saturation.h).
 
-    The currents are then taken once more from the EMFs through the network as the plant solves it, so that
-    the set-points fit the plant to rounding.  [Kundur1994, sec. 13.3]
+    The currents are then recomputed from the EMFs by the network solution of the plant, so that the
+    set-points match the plant to rounding. [Kundur1994, sec. 13.3]
 
     Raises
     ------
-    CaseError : a machine without dynamic data, a limit that excludes the operating point, or a power flow
-        that is not one of this case.
+    CaseError : a machine without dynamic data, a limit that excludes the operating point, or the power flow
+    of another case.
 
     >>> from interarea.models.case.case import load_case
     >>> point = operating_point(load_case("kundur-thyristor-z"))
@@ -99,7 +99,7 @@ def machine_points(
 
     Raises
     ------
-    CaseError : a machine without dynamic data, a power flow that is not one of this case.
+    CaseError : a machine without dynamic data, or the power flow of another case.
     """
     require_dynamics(case)
     bus = machine_bus_index(case)

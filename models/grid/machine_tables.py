@@ -1,4 +1,4 @@
-"""Machines of a case as the C plant takes them, and what a state of the plant is.
+"""Machines of a case in the layout of the C plant, and the description of a state.
 
 Row orders are those of the enumerations in plant/numbers/layout.h.
 """
@@ -20,9 +20,9 @@ from .series import with_series_nodes
 
 @dataclass(frozen=True)
 class State:
-    """One continuous state: value at the operating point, what its derivative depends on, time constant.
+    """One continuous state: value at the operating point, dependencies of its derivative, time constant.
 
-    Among `depends_on`, `NETWORK` stands for all `network_states`.
+    In `depends_on`, `NETWORK` means all `network_states`.
     """
 
     name: str
@@ -103,7 +103,7 @@ def _number(m: Machine, key: str) -> float:
 
 
 def network_states(case: Case) -> frozenset[str]:
-    """Return the states that fix every current and voltage of the network."""
+    """Return the states that determine every current and voltage of the network."""
     own = case.own_devices
     at_buses = frozenset(
         f"{row.name}.{state}"
@@ -114,7 +114,8 @@ def network_states(case: Case) -> frozenset[str]:
 
 
 def in_plant_order(case: Case) -> Case:
-    """Return `case` as the plant has it: constant EMFs after other machines, nodes for series capacitors."""
+    """Return `case` in the order of the plant: constant EMFs after other machines, nodes for series
+    capacitors."""
     case = with_series_nodes(case)
     machines = tuple(sorted(case.machines, key=lambda m: m.has_constant_emf))
     return case if machines == case.machines else case.model_copy(update={"machines": machines})

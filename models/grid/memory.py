@@ -1,7 +1,7 @@
-"""Memory that large grids will need, against what the machine has: said before any of it is taken.
+"""Memory required by large grids, compared with the available memory before any is allocated.
 
-The prices below are what `benchmarks/grids/plant_memory.py` and `bench_large.py` measure of grids with 2000
-to 82 000 buses. They are no bound: a grid with more controls on a machine or more outputs takes more.
+The amounts below are measured by `benchmarks/grids/plant_memory.py` and `bench_large.py` on grids of 2000 to
+82 000 buses. They are not a bound: a grid with more controls on a machine or more outputs needs more.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ LANE_BUS = 300  #: bytes of each instance: factors, states, the stages of a step
 
 
 def build_bytes(case: Case, *, powers: bool = True) -> int:
-    """Return about how much a process takes at most that makes the plant of `case`, bytes.
+    """Return an estimate of the largest memory of a process that builds the plant of `case`, bytes.
 
     powers : whether each machine's power is an output.
     """
@@ -32,7 +32,7 @@ def build_bytes(case: Case, *, powers: bool = True) -> int:
 
 
 def run_bytes(case: Case, plants: int = 1, *, powers: bool = True) -> int:
-    """Return about how much a process takes with so many live plants of `case` from one FMU, bytes.
+    """Return an estimate of the memory of a process with so many plants of `case` from one FMU, bytes.
 
     powers : whether each machine's power is an output.
     """
@@ -42,9 +42,9 @@ def run_bytes(case: Case, plants: int = 1, *, powers: bool = True) -> int:
 
 
 def require_memory(needed: int, what: str, instead: str, *, root: Path = Path("/")) -> None:
-    """Refuse what needs more than the machine has; where nothing tells how much that is, nothing is refused.
+    """Reject a task that needs more memory than available; if that is unknown, nothing is rejected.
 
-    what : what needs it and where. instead : what to do. root : where the machine's files are.
+    what : the task and its place. instead : the remedy. root : of the file system with the machine's data.
 
     Raises
     ------
@@ -59,7 +59,7 @@ def require_memory(needed: int, what: str, instead: str, *, root: Path = Path("/
 
 
 def available_bytes(root: Path = Path("/")) -> int | None:
-    """Return what this process may still take: of the machine and of its control groups; None: not known."""
+    """Return the memory left for this process, by the machine and its control groups; None: unknown."""
     if not sys.platform.startswith("linux"):
         return None
     match = re.search(r"^MemAvailable:\s+(\d+) kB", _text(root / "proc/meminfo"), re.MULTILINE)

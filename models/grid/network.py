@@ -68,7 +68,7 @@ def shunt_admittance(case: Case, shunt: Shunt) -> complex:
 
 
 def load_power(case: Case, load: Load) -> complex:
-    """Return P + jQ that `load` takes at the operating point, pu on the base of the case."""
+    """Return P + jQ of `load` at the operating point, pu on the base of the case."""
     return complex(load.P_mw, load.Q_mvar) / case.base_mva
 
 
@@ -97,11 +97,11 @@ def assembled(ends: npt.NDArray[np.int_], stamps: ComplexArray, diagonal: Comple
 def admittance_matrix(case: Case, *, without: Iterable[str] = (), shunts: bool = True) -> ComplexArray:
     """Return the bus admittance matrix, (buses, buses): branches and shunts in service.
 
-    `without`: names of branches left out besides those out of service.
+    `without`: names of branches omitted in addition to those out of service.
 
     Raises
     ------
-    CaseError : a name in `without` that is no branch.
+    CaseError : a name in `without` that is not a branch.
     """
     dense: ComplexArray = sparse_admittance(case, without=without, shunts=shunts).toarray()
     return dense

@@ -1,4 +1,4 @@
-"""The network as the C plant takes it: branches, shunts and loads, and the form in which it is solved."""
+"""The network in the layout of the C plant: branches, shunts and loads, and the form of its solution."""
 
 from __future__ import annotations
 
@@ -49,9 +49,9 @@ def network_nodes(case: Case, ports: npt.NDArray[np.float64]) -> NetworkNodes:
 def network_pattern(
     case: Case, ports: npt.NDArray[np.float64], form: Form | None = None
 ) -> SparsePattern | None:
-    """Return the pattern of the sparse network of `case`; None where the dense one is cheaper.
+    """Return the pattern of the sparse network of `case`; None if the dense one is cheaper.
 
-    ports : table of the ports; form : the one to take whatever the cost.
+    ports : table of the ports; form : prescribed form, whatever its cost.
     """
     m, n = len(case.machines), len(ports)
     nodes = network_nodes(case, ports)
@@ -69,9 +69,9 @@ def network_pattern(
 
 
 def is_reduced(pattern: SparsePattern, machines: int, ports: int, form: Form | None = None) -> bool:
-    """Whether rates take the machines' currents from a dense product, made of the pattern's solutions.
+    """Whether derivatives use machine currents from a dense product, computed from the pattern's solutions.
 
-    form : the one to take whatever the cost; where ports iterate a product alone does not do.
+    form : prescribed form, whatever its cost; with iterating ports a product is not sufficient.
     """
     cheap = machines**2 <= SPARSE_PRICE * pattern.multiplications
     return ports == 0 and (form == "reduced" or (form is None and cheap))
@@ -96,7 +96,7 @@ def network_tables(
     ports: npt.NDArray[np.float64],
     pattern: SparsePattern | None,
 ) -> dict[str, Any]:
-    """Return the arrays of the record that say what the network is made of; load_volts: (loads,)."""
+    """Return the arrays of the record that define the network; load_volts: (loads,)."""
     index = bus_index(case)
     shunts = np.array([shunt_admittance(case, s) for s in case.shunts], dtype=complex)
     at_bus = np.zeros(len(case.buses), dtype=complex)

@@ -18,10 +18,10 @@ IntArray = npt.NDArray[np.int_]
 
 @dataclass(frozen=True)
 class Iterate:
-    """The best voltages that Newton's method came by.
+    """The best voltages of Newton's method.
 
-    voltages, off : (buses,) pu; `off` is the power that flows into the network less the scheduled one.
-    mismatch_pu : largest entry of `off` in P where the angle and in Q where the magnitude is free.
+    voltages, off : (buses,) pu; `off` is the power into the network minus the scheduled one.
+    mismatch_pu : largest `off` in P at free angles and in Q at free magnitudes.
     """
 
     voltages: ComplexArray
@@ -49,7 +49,7 @@ def newton(
     tolerance_pu: float = 1e-10,
     most: int = 40,
 ) -> Iterate | None:
-    r"""Find V with :math:`V \circ (YV)^* = S_0 + S_1 |V|` where it is scheduled, from `start`.
+    r"""Solve :math:`V \circ (YV)^* = S_0 + S_1 |V|` for V at the scheduled positions, from `start`.
 
     With :math:`S = V \circ (YV)^*` the step uses
 
@@ -58,10 +58,10 @@ def newton(
         \partial S/\partial|V| = \mathrm{diag}(V)\,(Y\,\mathrm{diag}(\hat V))^* + \mathrm{diag}(I^*\hat V).
 
     Y : sparse (n, n). start : (n,) voltages. scheduled : (n,) constant power S0 into the network, pu.
-    free_angle, free_magnitude : positions whose P, Q are scheduled. current : (n,) S1, what follows the
-    voltage magnitude (constant current). Steps are halved up to four times while the mismatch grows.
-    Returns None when not even the start is finite. After convergence it goes on while that helps. Branches
-    of very small impedance raise the tolerance to what rounding leaves of their currents.
+    free_angle, free_magnitude : positions whose P, Q are scheduled. current : (n,) S1, proportional to the
+    voltage magnitude (constant current). Steps are halved up to four times while the mismatch grows. Returns
+    None if the start is not finite. After convergence it continues while the mismatch falls. Branches of very
+    small impedance raise the tolerance to the rounding error of their currents.
     """
     Y = sparse.csr_matrix(Y)
     tolerance_pu = max(tolerance_pu, _ROUNDING * float(np.max(np.abs(Y.data), initial=0.0)))

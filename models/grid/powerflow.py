@@ -24,9 +24,9 @@ _REPETITIONS = 60  #: of a power flow with dc links; each brings their voltages 
 
 
 class PowerFlowError(CaseError):
-    """The power flow has no solution that Newton's method finds from a flat start.
+    """Newton's method finds no solution of the power flow.
 
-    voltages : bus -> V in pu of the iterate with the least mismatch; empty where none is finite.
+    voltages : bus -> V in pu of the iterate with the least mismatch; empty if none is finite.
     """
 
     def __init__(self, *mistakes: str, voltages: Mapping[int, complex] | None = None) -> None:
@@ -60,7 +60,7 @@ class PowerFlow:
         return np.degrees(np.angle(self.voltages))
 
     def voltage(self, bus: int) -> complex:
-        """Return the voltage of bus number `bus`, pu; CaseError when there is no such bus."""
+        """Return the voltage of bus number `bus`, pu; CaseError if there is no such bus."""
         index = bus_index(self.case)
         if bus not in index:
             raise CaseError(f"{self.case.name}: bus {bus} does not exist")
@@ -81,7 +81,7 @@ class PowerFlow:
 
     @property
     def tie_p(self) -> float:
-        """Active power over the tie of the case, pu; CaseError when the case names none."""
+        """Active power over the tie of the case, pu; CaseError if the case names none."""
         tie = self.case.tie
         if tie is None:
             raise CaseError(f"{self.case.name}: no [tie] in the case")
@@ -92,12 +92,11 @@ def solve_powerflow(case: Case) -> PowerFlow:
     r"""Solve the power flow of `case` from the start values of its buses, flat where they have none.
 
     Slack, one in each connected part: voltage and angle given; other machine buses: P and voltage; the rest:
-    P and Q. SVCs hold a voltage or give Q; dc links draw what the voltages of their buses leave, to which the
-    solution is repeated.
-    Loads are constant P and Q, shunts are admittances; `newton` has the equations.
+    P and Q. SVCs keep a voltage or supply Q; the power of dc links follows from their bus voltages by
+    repeated solution. Loads are constant P and Q, shunts are admittances; `newton` has the equations.
 
-    Machine reactive limits are not enforced. Machines at one bus have their own `Q_mvar` and share what is
-    left of its Q by their ratings; a slack machine takes what P is left.
+    Machine reactive limits are not enforced. Machines at one bus have their own `Q_mvar` and share the rest
+    of its Q by their ratings; a slack machine supplies the rest of P.
 
     Raises
     ------
@@ -187,7 +186,7 @@ def _with_capacitors(case: Case) -> PowerFlow:
 
 
 def with_nodes(flow: PowerFlow, case: Case) -> PowerFlow:
-    """Return `flow` as that of `case`, whose series capacitors have nodes, unless it has them already."""
+    """Return `flow` for `case` with nodes of series capacitors, unless it has them already."""
     if not case.tcscs or len(flow.voltages) == len(case.buses):
         return flow
     at, power = node_voltages(case, flow.voltages)

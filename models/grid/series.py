@@ -1,11 +1,11 @@
-"""Series capacitors whose reactance moves, as the plant takes them: each a node of its line's current.
+"""Variable series capacitors in the plant: each is a node that represents its line's current.
 
 With the series current I = (Vf - Vt)/z of a line, z = r + j(x - xc), a node m of the voltage Vm = -j I obeys
 
     0 = j Vf - j Vt + z Vm,    If = j Vm,    It = -j Vm :
 
 two branches without admittance to ground, +j between f and m, -j between t and m, and z to ground at m.
-Eliminating m leaves the line. What moves is then linear in the state: -j xc at m, a device at a bus.
+Eliminating m gives the line. The variable part is then linear in the state: -j xc at m, a device at a bus.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ LEAST_CURRENT_PU = 1e-6  #: of a line at rest: without one its node has no volta
 
 
 def compensated(case: Case) -> Case:
-    """Return `case` with its series capacitors as they are at rest, in the reactances of their lines."""
+    """Return `case` with the initial values of its series capacitors in the reactances of their lines."""
     at = {row.branch: row for row in case.tcscs}
     if not at:
         return case
@@ -40,7 +40,7 @@ def far_half(branch: str) -> str:
 
 
 def has_series_nodes(case: Case) -> bool:
-    """Whether the series capacitors of `case` are nodes of it."""
+    """Whether the series capacitors of `case` are nodes."""
     return {row.name for row in case.tcscs} <= {row.name for row in case.svcs}
 
 
@@ -80,7 +80,7 @@ def with_series_nodes(case: Case) -> Case:
 
 
 def without_series_nodes(case: Case) -> Case:
-    """Return what `with_series_nodes` was given."""
+    """Return the argument of `with_series_nodes`."""
     nodes, lines = series_nodes(case), {row.branch: row.name for row in case.tcscs}
     halves = {b.name: b for b in case.branches}
     ground = {s.bus: complex(s.P_mw, s.Q_mvar) / case.base_mva for s in case.shunts}
@@ -116,7 +116,7 @@ def _device(case: Case, row: Tcsc, node: int) -> Svc:
 def node_voltages(case: Case, voltages: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
     """Return the voltages of the nodes and P + jQ of the devices there, in the order of `tcscs`.
 
-    case : with its nodes. voltages : (buses, or more) of the buses that are no nodes, which come first.
+    case : with its nodes. voltages : (buses, or more) of the real buses, which come first.
 
     Raises
     ------
@@ -142,7 +142,8 @@ def node_voltages(case: Case, voltages: ComplexArray) -> tuple[ComplexArray, Com
 
 
 def events_of_halves(case: Case, events: Iterable[Any]) -> list[Any]:
-    """Return `events`, after each that switches a line with a capacitor a second one of the far half."""
+    """Return `events` with a second event, of the far half, after each that switches a line with a
+    capacitor."""
     lines: Mapping[str, str] = {row.branch: far_half(row.branch) for row in case.tcscs}
     result = []
     for event in events:

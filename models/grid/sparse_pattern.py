@@ -1,4 +1,4 @@
-"""Order and places of a sparse network's factors, one for all switching states (plant/network/sparse.h)."""
+"""Order and positions of a sparse network's factors, for all switching states (plant/network/sparse.h)."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ SPARSE_PRICE = 3.5
 class SparsePattern:
     """Rows of L and U of a structurally symmetric matrix; arrays read-only.
 
-    A row is the place of a node in the order of elimination. Rows before `first` take no current, so a
-    solution for currents at the active nodes needs only those from there on.
+    A row is the position of a node in the order of elimination. Rows before `first` have no current, so a
+    solution for currents at the active nodes needs only the rows from `first` on.
     """
 
     row: IntArray  #: (nodes,) row of each node
@@ -33,18 +33,18 @@ class SparsePattern:
 
     @property
     def fill(self) -> int:
-        """Entries of L, and of U."""
+        """Number of entries of L, and of U."""
         return len(self.lower_column)
 
     @property
     def multiplications(self) -> int:
-        """Complex multiplications of one solution at the rows that are needed."""
+        """Complex multiplications of one solution at the required rows."""
         forward = int(np.sum(self.lower[self.first + 1 :] - self.needed[self.first :]))
         backward = self.fill - int(self.upper[self.first])
         return forward + backward + len(self.row) - self.first
 
     def places(self, ends: npt.ArrayLike) -> IntArray:
-        """Return where entries (from, to) and (to, from) of branches are, (branches, 2).
+        """Return the positions of the entries (from, to) and (to, from) of branches, (branches, 2).
 
         An entry of L by its number, one of U by `fill` plus its number. ends : (branches, 2) nodes.
         """
@@ -62,9 +62,9 @@ class SparsePattern:
 def sparse_pattern(nodes: int, ends: npt.ArrayLike, active: npt.ArrayLike) -> SparsePattern:
     """Return the pattern of a network of `nodes` nodes with branches at `ends` (branches, 2).
 
-    active : nodes where currents enter and voltages are wanted, at least one. Order: minimum degree, each
-    branch of the elimination tree at a stretch, so that what a row needs lies near it in memory; the nodes on
-    no path from an active one to the root come first.
+    active : nodes with currents and required voltages, at least one. Order: minimum degree, with each branch
+    of the elimination tree contiguous, so that the data of a row are near it in memory; nodes on no path from
+    an active one to the root come first.
     """
     order, rows = _minimum_degree(nodes, np.asarray(ends, dtype=int).reshape(-1, 2))
     above = _next_eliminated(order, rows)

@@ -1,4 +1,4 @@
-"""How a case starts: which controls cannot rest, how far the others are from their limits, limits widened."""
+"""Start of a case: controls without an equilibrium, distances of the others from limits, widened limits."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ LINK_LIMITS |= {"IMIN": "i_min_pu", "IMAX": "i_max_pu"}
 
 @dataclass(frozen=True)
 class ControlMargin:
-    """A limited signal of a control at rest."""
+    """A limited signal of a control at the equilibrium."""
 
     control: str  #: as G1.exciter
     kind: str
@@ -46,23 +46,23 @@ class ControlMargin:
 
     @property
     def fixed(self) -> bool:
-        """Whether that is a number, which no parameter moves."""
+        """Whether the limit is a fixed number, not a parameter."""
         return self.limit.lstrip("-").replace(".", "", 1).isdigit()
 
     @property
     def held(self) -> bool:
-        """Whether its limits coincide, so that it does not move."""
+        """Whether its limits coincide, so that it is constant."""
         return self.margin.low == self.margin.value == self.margin.high
 
     @property
     def at_limit(self) -> bool:
-        """Whether it rests at that limit."""
+        """Whether it is at that limit."""
         return self.margin.least <= AT_LIMIT * max(1.0, abs(self.margin.value))
 
 
 @dataclass(frozen=True)
 class Start:
-    """What keeps a case from starting, or, with nothing in `unrest`, how far it is from limits."""
+    """Obstacles to the start of a case, or, if `unrest` is empty, its distances from limits."""
 
     unrest: tuple[Unrest, ...]
     margins: tuple[ControlMargin, ...]  #: nearest first
@@ -111,7 +111,7 @@ def start_of(case: Case, power_flow: PowerFlow | None = None) -> Start:
 
     Raises
     ------
-    CaseError : no operating point for another reason than a control.
+    CaseError : no operating point, for a reason other than a control.
     """
     case, power_flow = _as_plant(case, power_flow)
     unrest: list[Unrest] = []
@@ -129,11 +129,11 @@ def start_of(case: Case, power_flow: PowerFlow | None = None) -> Start:
 
 
 def require_off_limits(case: Case) -> None:
-    """Refuse a linear study where a device at a bus rests on its limit: it is another system on either side.
+    """Reject a linear study if a device at a bus is at its limit: the linear system differs on either side.
 
     Raises
     ------
-    CaseError : which signal, its limit, its distance, and what to do; as `start_of`.
+    CaseError : the signal, its limit, its distance, and the remedy; as `start_of`.
     """
     lines = {row.name for row in case.tcscs}
     links, vscs = {row.name for row in case.hvdcs}, {row.name for row in case.vscs}
@@ -155,11 +155,11 @@ def require_off_limits(case: Case) -> None:
 
 
 def release_limits(case: Case, power_flow: PowerFlow | None = None) -> tuple[Case, tuple[str, ...]]:
-    """Return `case` with limits widened beyond or at which controls would rest, and what was changed.
+    """Return `case` with the limits widened at or beyond which controls would start, and the changes.
 
     Raises
     ------
-    CaseError : a control that cannot rest for another reason than a limit.
+    CaseError : a control without an equilibrium, for a reason other than a limit.
     """
     original, (case, power_flow) = case, _as_plant(case, power_flow)
     # these rest within their limits, or there is no case

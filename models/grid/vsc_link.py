@@ -1,4 +1,4 @@
-"""Dc links with voltage-source converters at rest: powers of both ends, and their ports.
+"""Equilibrium of dc links with voltage-source converters: powers of both ends, and their ports.
 
 Per unit on the base of the link; equations of devices/vscs/vsc.toml, ports as those of converters
 (plant/machine/bus_device.h).
@@ -23,7 +23,7 @@ _CURRENTS = (("ip1", "iq1"), ("ip2", "iq2"))
 
 @dataclass(frozen=True)
 class VscPoint:
-    """A link at rest between buses of these `voltages`, pu."""
+    """Equilibrium of a link between buses of these `voltages`, pu."""
 
     idc: float
     voltages: tuple[float, float]
@@ -40,7 +40,7 @@ class VscPoint:
         return self.power[0].real / self.voltages[0]
 
     def given(self, kind: str, share: float) -> dict[str, float]:
-        """Return what the device sees, and its currents at rest."""
+        """Return the input values of the device, and its initial currents."""
         known = {"p_mod": 0.0, "q_mod1": 0.0, "q_mod2": 0.0}
         for k, (u, s, names) in enumerate(zip(self.voltages, self.power, _CURRENTS, strict=True), start=1):
             known |= {f"v{k}": u, f"p{k}": s.real}
@@ -50,9 +50,11 @@ class VscPoint:
 
 
 def link_modulations(values: Mapping[str, float | str]) -> dict[str, str]:
-    """Return what modulates a dc link of either kind: signal of its device -> word of the input.
+    """Return the modulation inputs of a dc link of either kind: signal of its device -> name part of the
+    input.
 
-    values : parameters of its device. At an end of a VSC link the input is of what the end keeps.
+    values : parameters of its device. The input at an end of a VSC link belongs to the quantity that it
+    keeps.
     """
     words = {"p_mod": "p_mod"}
     for k, end in enumerate(("from", "to"), start=1):
@@ -62,7 +64,7 @@ def link_modulations(values: Mapping[str, float | str]) -> dict[str, str]:
 
 
 def vsc_point(row: Vsc, u_from: float, u_to: float) -> VscPoint:
-    """Return the link at rest between buses of these voltages, pu."""
+    """Return the equilibrium of the link between buses of these voltages, pu."""
     taken, R = row.P_mw / row.base_mva, row.r_ohm / row.base_ohm
     into = taken - row.from_loss_mw / row.base_mva  # = (1 + R idc) idc
     idc = 2.0 * into / (1.0 + math.sqrt(max(1.0 + 4.0 * R * into, 0.0)))
@@ -72,12 +74,12 @@ def vsc_point(row: Vsc, u_from: float, u_to: float) -> VscPoint:
 
 
 def point_of_link(row: Hvdc | Vsc, first: float, second: float) -> LinkPoint | VscPoint:
-    """Return a link of either kind at rest between buses of these voltages, pu."""
+    """Return the equilibrium of a link of either kind between buses of these voltages, pu."""
     return vsc_point(row, first, second) if isinstance(row, Vsc) else link_point(row, first, second)
 
 
 def require_vsc(case: Case, row: Vsc, point: VscPoint) -> None:
-    """Refuse a link that cannot rest there.
+    """Reject a link without an equilibrium there.
 
     Raises
     ------
@@ -97,7 +99,7 @@ def require_vsc(case: Case, row: Vsc, point: VscPoint) -> None:
 
 
 def require_lines(case: Case) -> None:
-    """Refuse a line that cannot carry the power of its link.
+    """Reject a line that cannot carry the power of its link.
 
     Raises
     ------
@@ -122,9 +124,9 @@ def vsc_ports(
 ) -> list[list[float]]:
     """Return the rows of the ports of both ends, without the kind of port.
 
-    buses : positions of both. states : name -> position. at_rest : of its currents. share : its base over
-    that of the case. numbers : voltage below which currents fall with it; then what converters' ports hold
-    of gains by the voltage.
+    buses : positions of both. states : name -> position. at_rest : initial currents. share : its base over
+    that of the case. numbers : voltage below which currents fall with it; then the voltage-dependent gains of
+    converters' ports.
     """
     low, *gains = numbers
     return [
