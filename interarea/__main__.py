@@ -1,4 +1,4 @@
-"""`python -m interarea`, and the start of the command `interarea`: quick to stop from its first moment."""
+"""`python -m interarea`, and the start of the command `interarea`, which a signal can stop at any time."""
 
 from __future__ import annotations
 
@@ -26,11 +26,10 @@ def _stop(number: int, frame: FrameType | None) -> None:
 
 
 def _keep_code(stops: list[int]) -> None:
-    """End with the code of the signal that stopped the command, before Python takes its modules down.
+    """End with the code of the signal that stopped the command, before Python removes its modules.
 
-    Python ends itself by SIGINT where KeyboardInterrupt has passed through code that a module in C runs
-    (PyRun_String), even if it was dealt with; a thread of such a module that is at work then ends it by
-    SIGABRT.
+    Python ends itself by SIGINT if KeyboardInterrupt has passed through code run by a C module
+    (PyRun_String), even if it was handled; a running thread of such a module then ends Python by SIGABRT.
     """
     if stops:
         from contextlib import suppress
@@ -49,7 +48,7 @@ def _signals() -> list[int]:
 
 
 def _interrupt(number: int) -> None:
-    """Send the main thread a signal, which ends what it waits for (on Windows when it goes on)."""
+    """Send the main thread a signal, which ends its wait (on Windows only when it continues)."""
     import threading
 
     if hasattr(signal, "pthread_kill"):
@@ -69,9 +68,10 @@ def _outermost_import(frame: FrameType | None) -> FrameType | None:
 
 
 def _watch(importing: FrameType, number: int) -> None:
-    """Interrupt the main thread again if it goes on with an import that an interrupt should have ended.
+    """Interrupt the main thread again if it continues an import that an interrupt should have ended.
 
-    A module in C that is being loaded makes an ImportError of one, and who imports may go on without it.
+    A C module that is being loaded turns the interrupt into an ImportError, which the importing module may
+    ignore.
     """
     import threading
 
@@ -110,7 +110,7 @@ def main() -> None:
         raise KeyboardInterrupt
 
     def swallowed(lost: Any) -> None:
-        """A callback from C or a finaliser lets no exception through: an interrupt there comes once more."""
+        """A callback from C or a finaliser discards exceptions: an interrupt there is sent again."""
         if stops and lost.exc_type is KeyboardInterrupt:
             import threading
 

@@ -1,8 +1,8 @@
-"""The binaries that travel in the wheel, compiled when it is built: `python -m interarea.binaries FOLDER`.
+"""Binaries for the wheel, compiled when it is built: `python -m interarea.binaries FOLDER`.
 
-Whoever installs the wheel needs no compiler for anything that comes with it: every block kind and the loop
-for every platform, the kernel and the library that steps plants side by side likewise, and the page's
-WebAssembly for the controls of each bundled grid and for those of the whole library.
+An installed wheel needs no compiler for bundled content: it has every kind of block, the container, the
+kernel and the library for batched plants for every platform, and the WebAssembly of the page for the controls
+of each bundled grid and for those of the whole library.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from interarea.models.case.case import case_names, load_case
 
 
 def kinds() -> Iterator[tuple[str, dict[str, bytes]]]:
-    """Yield name and sources of every library that an installed package loads or packs into an FMU."""
+    """Yield name and sources of every library that an installed package loads or writes into an FMU."""
     blocks = {
         "plant": plant_sources(),
         "loop": container_sources(),
@@ -57,7 +57,7 @@ def kinds() -> Iterator[tuple[str, dict[str, bytes]]]:
 
 
 def pages() -> Iterator[tuple[str, dict[str, bytes]]]:
-    """Yield name and sources of the WebAssembly of each page that can be written of a bundled grid."""
+    """Yield name and sources of the WebAssembly of each page of a bundled grid."""
     seen: list[dict[str, bytes]] = []
     for case in (None, *map(load_case, case_names())):
         sources = page_sources(case)
@@ -67,7 +67,7 @@ def pages() -> Iterator[tuple[str, dict[str, bytes]]]:
 
 
 def compile_into(folder: Path, platforms: Sequence[str]) -> list[Path]:
-    """Compile what travels for `platforms` and for pages; return the files, which lie in `folder`.
+    """Compile the binaries for `platforms` and for pages into `folder`; return the files.
 
     Raises
     ------
@@ -87,7 +87,7 @@ def compile_into(folder: Path, platforms: Sequence[str]) -> list[Path]:
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """Compile into the folder that the command line names."""
+    """Compile into the folder of the command line."""
     parser = argparse.ArgumentParser(prog="python -m interarea.binaries", description=__doc__)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--platforms", default=",".join(PLATFORMS), help="default: %(default)s")

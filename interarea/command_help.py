@@ -62,7 +62,7 @@ EXAMPLES = {
     "study": "interarea study thesis --out out/thesis --no-second-solver",
 }
 
-#: command -> what writes the file that its own example reads
+#: command -> the command that writes the file read by its example
 READS = {
     "sweep": EXAMPLES["new"],
     "design": "interarea new design --out mine.toml",
@@ -76,6 +76,6 @@ READS = {
 
 
 def last_lines(name: str) -> str:
-    """Return how a command's help ends: its example, whole on a line, and what to run before it."""
+    """Return the end of a command's help: its example on one line, and the command to run before it."""
     before = f", after `{READS[name]}`" if name in READS else ""
     return f"\b\nExample{before}:\n  {EXAMPLES[name]}"  # \b: the lines stay as they are

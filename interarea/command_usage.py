@@ -1,6 +1,6 @@
-"""A mistake in the words of a command: one line with command, word, what is allowed, and what to do.
+"""Errors in the arguments of a command: one line with command, argument, allowed values and remedy.
 
-What typer says of one takes four lines, and names neither what was given nor what is allowed.
+A message of typer has four lines, and states neither the value read nor the allowed values.
 """
 
 from __future__ import annotations
@@ -39,11 +39,11 @@ _NUMBERS = {"a valid number": "a number", "a valid integer": "a whole number"}
 
 
 class UsageMistake(UserError):
-    """Words that a command does not take."""
+    """Arguments that a command does not accept."""
 
 
 def check_words(command: Any, words: Sequence[str]) -> None:
-    """Require that no word is empty, and that no option stands where the value of another is wanted.
+    """Require that no argument is empty, and that no option is in the place of another option's value.
 
     Raises UsageMistake.
     """
@@ -64,7 +64,7 @@ def check_words(command: Any, words: Sequence[str]) -> None:
 
 
 def check_numbers(command: Any, given: dict[str, Any]) -> None:
-    """Require that every number given to an option is finite, and no larger than any quantity here.
+    """Require that every number of an option is finite and at most `LARGEST` in magnitude.
 
     Raises UsageMistake.
     """
@@ -80,9 +80,9 @@ def check_numbers(command: Any, given: dict[str, Any]) -> None:
 def within(
     *, above: float | None = None, least: float | None = None, most: float | None = None, unit: str = ""
 ) -> Callable[[typer.Context, typer.CallbackParam, Any], Any]:
-    """Return the callback of an option that refuses numbers outside a range: UsageMistake, before any work.
+    """Return the callback of an option that rejects numbers outside a range (UsageMistake) before any work.
 
-    above, least, most : ends of the range; the first does not belong to it. unit : of all, for the message.
+    above, least, most : bounds of the range; `above` is exclusive. unit : of all, for the message.
     """
     ends = {"above": above, "at least": least, "at most": most}
     allowed = " and ".join(f"{word} {end:g}" for word, end in ends.items() if end is not None)
@@ -104,7 +104,7 @@ def within(
 
 
 def naming(kind: str) -> Callable[[typer.Context, Any], Any]:
-    """Return the callback of a parameter whose words must name something: `check_names` looks at them.
+    """Return the callback of a parameter whose values must be known names, which `check_names` verifies.
 
     kind : of `_REQUIRED`.
     """
@@ -118,7 +118,7 @@ def naming(kind: str) -> Callable[[typer.Context, Any], Any]:
 
 
 def check_names(context: typer.Context) -> None:
-    """Refuse words that name nothing, before what would read them is loaded. Raises UserError."""
+    """Reject unknown names before the code that reads them is loaded. Raises UserError."""
     for kind, word in context.meta.get(_NAMES, ()):
         module, _, function = _REQUIRED[kind].partition(":")
         getattr(import_module(f"interarea.{module}"), function)(word)
@@ -160,7 +160,7 @@ def mistake(error: Any, words: Sequence[str], command: Any = None) -> UsageMista
 
 
 def _before_a_command(error: Any) -> str:
-    """Return what is wrong with the words before a command's name, or with the name."""
+    """Return the error in the arguments before a command's name, or in the name."""
     if hasattr(error, "possibilities"):
         return (
             f"{error.option_name}: no such option before the name of a command; options of a command follow "
@@ -207,7 +207,7 @@ def _too_many(command: Any, words: Sequence[str], error: Any) -> str:
 
 
 def _wrong_value(error: Any, words: Sequence[str]) -> str:
-    """Return what an option got and takes, where its message does not say the first."""
+    """Return the value read and the allowed values of an option, if its message lacks the former."""
     wanted = error.message.removeprefix("Input should be ")
     if wanted == error.message or getattr(error, "param", None) is None:
         return str(error.message)
@@ -221,7 +221,7 @@ def _wrong_value(error: Any, words: Sequence[str]) -> str:
 
 
 def _shown(parameter: Any) -> str:
-    """Return an option with its metavar, or the name of an argument, as the help has them."""
+    """Return an option with its metavar, or the name of an argument, as in the help."""
     metavar = parameter.metavar or ""
     if parameter.param_type_name == "argument":
         return metavar.strip("{}[].") or parameter.name.upper()
@@ -233,7 +233,7 @@ def _purpose(parameter: Any) -> str:
 
 
 def _wanted(command: Any, which: Any) -> str:
-    """Return what a parameter, given or named, takes, and the command's example."""
+    """Return the accepted values of a parameter (object or name), and the command's example."""
     parameter = which
     if isinstance(which, str):
         parameter = _options(command).get(which)

@@ -1,4 +1,4 @@
-"""What the files hold: JSON Schemas and reference pages, generated from the models that check the files."""
+"""File formats: JSON Schemas and reference pages, generated from the models that check the files."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _INNER = {"scenario": ("folder", "rounded"), "case": ("sources",)}
 
 
 def kinds() -> dict[str, str]:
-    """Return the kinds of files with what each is."""
+    """Return the kinds of files with a description of each."""
     return {
         "scenario": "a scenario: grid, controller, channels, events and their times (TOML)",
         "case": "a case: a grid with its machines, controls and loads (TOML); tables of rows are keyed by id",
@@ -48,7 +48,7 @@ def kinds() -> dict[str, str]:
 
 
 def schema(kind: str) -> dict[str, Any]:
-    """Return the JSON Schema of a kind of file, in the form that the file has."""
+    """Return the JSON Schema of a kind of file."""
     raw = _raw(kind)
     properties = raw.get("properties", {})
     for key in _INNER.get(kind, ()):
@@ -392,7 +392,8 @@ def _models(kind: str) -> list[type]:
 
 
 def write(pages: Path) -> list[Path]:
-    """Write the reference pages into a folder and the schemas beside this module; return the files."""
+    """Write the reference pages into a folder and the schemas into the folder of this module; return the
+    files."""
     files = []
     for kind in kinds():
         for file, text in (

@@ -37,7 +37,7 @@ _METHODS: Mapping[str, Callable[[control.StateSpace, int], Reduction]] = {
 
 
 def case_like(case: Case | str | Path) -> Case:
-    """Return a case, or load the one of that name or file; raise UserError for another kind of thing."""
+    """Return a case, or load the one of that name or file; raise UserError for any other object."""
     if isinstance(case, Case):
         return case
     if isinstance(case, str | Path):
@@ -258,7 +258,7 @@ _NONE = 1e29  #: limits beyond are none
 
 
 def margins_at_rest(case: Case) -> list[dict[str, Any]]:
-    """Return each limited signal of the controls at the equilibrium, the nearest to a limit first.
+    """Return the limited signals of the controls at the equilibrium, the nearest to a limit first.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Loci of eigenvalues over a number of a case or of its controller, as tables, drawings and matrices."""
+"""Loci of eigenvalues over a parameter of a case or of its controller, as tables, drawings and matrices."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ class Report(Protocol):
 
 
 class _Stage:
-    """When a stage began, how far it is, and since when that is known."""
+    """Start of a stage, its completed share, and the instant of the last report."""
 
     def __init__(self) -> None:
         self.begin_s: float | None = None
@@ -47,7 +47,7 @@ class _Stage:
 
     @property
     def words(self) -> str:
-        """How far it is, where it stands, and what is left at the present rate."""
+        """Completed share, state, and remaining time at the present rate."""
         gained = self.done - self.first if self.done < 1.0 else 0.0
         left = f"{duration(self.spent_s * (1.0 - self.done) / gained)} left" if gained > 0.0 else ""
         return ", ".join(part for part in (f"{100.0 * self.done:.0f} %", self.text, left) if part)
@@ -58,10 +58,9 @@ def silent(stage: str, done: float, text: str = "") -> None:
 
 
 def lines(stages: Sequence[str], write: Callable[[str], object], *, timed: bool = False) -> Report:
-    """Return what writes a line where a stage is done, and one every ten seconds of it.
+    """Return a report that writes a line at the end of a stage, and one every ten seconds.
 
-    Of a single stage the first is left out where it was done before any other line. timed : always, with
-    how long it took.
+    A single stage that ends before any other line has no line. timed : always write it, with its duration.
     """
     known = {stage: _Stage() for stage in stages}
     spoken: dict[str, float] = {}
@@ -83,7 +82,7 @@ def lines(stages: Sequence[str], write: Callable[[str], object], *, timed: bool 
 
 
 def tell_runs(report: Report, p: Progress) -> None:
-    """Report where a sweep stands, as the stage `runs`."""
+    """Report the progress of a sweep as the stage `runs`."""
     failed = f", {p.failed} failed" if p.failed else ""
     forked = f", {p.forked} forked" if p.forked else ""
     report("runs", p.done / p.size, f"{p.done} of {p.size}{failed}{forked}, {p.rate:.1f} runs/s")
@@ -91,7 +90,7 @@ def tell_runs(report: Report, p: Progress) -> None:
 
 @contextmanager
 def terminal_bars(stages: Sequence[str]) -> Iterator[Report]:
-    """Draw a bar for each stage on stderr, a terminal: what is done, where it stands, time spent and left."""
+    """Draw a bar for each stage on stderr, a terminal: completed share, state, time spent and left."""
     from rich import progress as bars
     from rich.console import Console
 
@@ -118,7 +117,7 @@ def terminal_bars(stages: Sequence[str]) -> Iterator[Report]:
 
 @contextmanager
 def notebook_bars(stages: Sequence[str]) -> Iterator[Report | None]:
-    """Draw a bar for each stage below the cell of a notebook; None where there is no notebook."""
+    """Draw a bar for each stage below the cell of a notebook; None if there is no notebook."""
     shell: Any = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
     if getattr(shell, "kernel", None) is None:
         yield None
@@ -149,7 +148,7 @@ class _NotebookBars:
             self._next_s = time.monotonic() + _DRAWN_S
 
     def draw(self) -> None:
-        """Draw the bars as they are, where they are drawn at all."""
+        """Draw the bars, if they are shown."""
         if self._handle is not None:
             self._handle.update(self)
 

@@ -4,9 +4,9 @@
         run = scenario("lost_signal.toml")
         assert run.damping_ratio("inter-area") > 0.25
 
-A file name is looked for beside the test file, then from where pytest runs, then among the bundled
-scenarios; a dict has the keys of a scenario file. FMUs and designs are kept in ``$INTERAREA_CACHE`` or
-the user's cache folder.
+A file name is searched beside the test file, then in the folder where pytest runs, then among the bundled
+scenarios; a dict has the keys of a scenario file. FMUs and designs are stored in ``$INTERAREA_CACHE`` or the
+user's cache folder.
 """
 
 from __future__ import annotations

@@ -39,11 +39,11 @@ def meter(
 
     Parameters
     ----------
-    record : a `Record`, or what `read_record` takes.
-    case : its modes name the swings: a `Case`, a bundled name or a file.
+    record : a `Record`, or an argument of `read_record`.
+    case : its modes name the oscillations: a `Case`, a bundled name or a file.
     beside : a record without the controller that `record` has: the result also has `differences` of the
         damping ratios with intervals, a `sentence` on them, and `beside`, the result of that record.
-    band_hz : frequency band, Hz. quantity, channels : what is analysed.
+    band_hz : frequency band, Hz. quantity, channels : to be analysed.
 
     Raises
     ------
@@ -70,15 +70,15 @@ def damping_trend(
     quantity: str | None = None,
     channels: Sequence[str] = (),
 ) -> Trend:
-    """Meter each part of a long record, and follow its swings from part to part.
+    """Analyse each part of a long record, and track its oscillations from part to part.
 
     As ``interarea meter FILE --every SECONDS`` does. A csv or Parquet file is read part by part.
 
     Parameters
     ----------
     record : a path or a DataFrame. every_s : length of a part, s; the remainder at the end is also a part.
-    window_s : parts outside are omitted, s. units : as `read_record` takes them.
-    case, band_hz, quantity, channels : as `meter` takes them.
+    window_s : parts outside are omitted, s. units : as in `read_record`.
+    case, band_hz, quantity, channels : as in `meter`.
 
     Raises
     ------
@@ -100,7 +100,7 @@ def damping_trend(
 
 
 def modes_in(case: Case, band_hz: tuple[float, float]) -> tuple[Mode, ...]:
-    """Return all modes of a case in a band, damped by less than 0.3."""
+    """Return all modes of a case in a band with a damping ratio below 0.3."""
     from interarea.cosim.run.artefacts import sparse_linear_plant
     from interarea.design.modes.all_modes import all_modes
 
@@ -133,7 +133,7 @@ def fit(
 
     Raises
     ------
-    UserError : no such machine or parameter, something not measured, a record too short.
+    UserError : no such machine or parameter, a missing measurement, a record too short.
     """
     grid = case_like(case)
     one = _record(record, grid.frequency_hz)

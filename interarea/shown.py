@@ -46,7 +46,7 @@ class SwingModes(Modes):
 
     @classmethod
     def of(cls, modes: Modes, case: Case) -> SwingModes:
-        """Return named modes with the case they belong to."""
+        """Return named modes with their case."""
         return cls(modes.by_name, modes.eigenvalues, modes.growth, case)
 
     def __repr__(self) -> str:
@@ -169,7 +169,7 @@ class Certificate:
 
     @property
     def worth(self) -> str:
-        """Worth of the signals from other machines, a sentence; empty if not computed."""
+        """Value of the signals from other machines, a sentence; empty if not computed."""
         result = getattr(self.record, "worth", None)
         return "" if result is None else str(result["sentence"])
 
@@ -228,7 +228,7 @@ class Certificate:
 class Comparison:
     """One scenario with several controllers (`compare`): `runs` by name, `roots` over latency, `worth`.
 
-    worth : controller -> worth of its signals from other machines in the linear loop, a sentence.
+    worth : controller -> value of its signals from other machines in the linear loop, a sentence.
     """
 
     scenario: Scenario
@@ -259,7 +259,7 @@ class Comparison:
         }
 
     def plot(self) -> Figure:
-        """Draw the swing of the verdict and the controller outputs, for each controller."""
+        """Draw the swing signal and the controller outputs for each controller."""
         from interarea.cosim.run.compare import curves_figure
 
         return curves_figure(self.compared)
@@ -267,7 +267,7 @@ class Comparison:
     def save(self, folder: str | Path, *, command: str = "interarea.compare") -> list[Path]:
         """Write the files of each run in a folder of its own, compare.json and the page compare.html.
 
-        All files or none. command : what made it, as the page says.
+        All files or none. command : that made the comparison, for the page.
         """
         from interarea.cosim.results.record import write_json
         from interarea.cosim.run.compare import write_comparison

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 class Channel(ChannelTable):
-    """How a signal is delayed and lost on its way: the keys of `[channels.NAME]` in a scenario file.
+    """Delay and loss of a signal: the keys of `[channels.NAME]` in a scenario file.
 
     For the `channels` of a scenario given as a dict, and for `System.channel`.
 

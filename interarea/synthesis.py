@@ -115,7 +115,7 @@ def controller_like(
     controller: Controller | ControllerBank | SystemLike | str | Path,
     case: Case | str | Path = "two-area-thesis",
 ) -> Controller | ControllerBank:
-    """Return a controller as it is, of a `StateSpace` (u = +K y, speeds in rad/s), or by name or file."""
+    """Return a controller from an object, a `StateSpace` (u = +K y, speeds in rad/s), a name or a file."""
     if isinstance(controller, str | Path):
         return load_controller(controller, case=case)
     if isinstance(controller, Controller | ControllerBank):
@@ -173,7 +173,7 @@ def judged_and_design(
     spec: str | Path | Mapping[str, Any] | None,
     conditions: Sequence[str] = (),
 ) -> tuple[Controller | ControllerBank, DesignTable]:
-    """Return a controller, and the design that judges it: `spec`, that of its record, or plain conditions.
+    """Return a controller and the design of its certificate: `spec`, that of its record, or plain conditions.
 
     case : another than the design's. conditions : plain ones instead of any design.
 
@@ -206,7 +206,8 @@ def _require_same_loop(judged: Controller | ControllerBank, table: DesignTable) 
 
 
 def plain_design(judged: Controller | ControllerBank, grid: Case, conditions: Sequence[str]) -> DesignTable:
-    """Return the design that asks for a stable loop on `grid` as it is, under `conditions` (`certify`)."""
+    """Return the design that requires a stable loop on the unchanged `grid` under `conditions`
+    (`certify`)."""
     signals = tuple(judged.inputs)
     plain = (*PLAIN, *(f"L:{s}" for s in signals), *(f"s200+L:{s}" for s in signals if len(signals) > 1))
     states = max(c.order for c in (judged.members if isinstance(judged, ControllerBank) else (judged,)))

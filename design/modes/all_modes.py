@@ -36,13 +36,14 @@ class AllModes:
     ----------
     modes : names by shape (`inter-area 2`, `local area 1.3`, `common frequency`, `control 4`), numbered by
         frequency. Of a plant of at most `growth.WHOLE` states the swing modes have the names of `modes_of`.
-    counted : modes in the region by the argument principle; equals the number of `modes`. band_hz, below :
-    the counted region. moved : boundaries that were moved away from a mode, in words.
+    counted : modes in the region by the argument principle; equals the number of `modes`.
+    band_hz, below : the counted region. moved : boundaries that were moved away from a mode, in words.
     residual : the largest of any mode.
     standing : structural zero eigenvalues, no instability: the rotation of all rotors, exciters that share a
-    bus, inactive controls. near_zero : eigenvalues slower than the band that do not decay, by a separate
-    count; the excess over `standing` grows. searched, factorisations : factorisations of shifted plants by
-    the search, and of N(s) by the counts.
+        bus, inactive controls.
+    near_zero : eigenvalues slower than the band that do not decay, by a separate count; the excess over
+        `standing` grows.
+    searched, factorisations : factorisations of shifted plants by the search, and of N(s) by the counts.
     """
 
     modes: tuple[Mode, ...]

@@ -61,8 +61,8 @@ class Growth:
 
     Attributes
     ----------
-    growing : fastest first; one of each pair. counted : growing eigenvalues, both of each pair; more than in
-    `growing` if some were not located.
+    growing : fastest first; one of each pair.
+    counted : growing eigenvalues, both of each pair; more than in `growing` if some were not located.
     states : number of all eigenvalues; of a loop with delays, of the model without them.
     slowest : 1/s; slower growth is not distinguished from 0.
     """

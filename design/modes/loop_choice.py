@@ -52,8 +52,8 @@ class RankedLoop:
 
     index : 0..1, share of the largest residue of any signal of its kind and any actuator.
     residue : with the delay, unit of the signal per unit of the actuator and second.
-    lead_deg : phase that the controller must compensate, including the delay, -180..180. beside : the other
-    mode that the loop moves most, and its shift relative to the target's.
+    lead_deg : phase that the controller must compensate, including the delay, -180..180.
+    beside : the other mode that the loop moves most, and its shift relative to the target's.
     """
 
     mode: str

@@ -26,8 +26,8 @@ class LoopSet:
     """Actuators, each with its best signal.
 
     score : least over modes of the largest index. left : the same after the worst loss of one signal.
-    decides : the mode that decides the score. loops : actuator -> signal, for its best mode. holds : the
-    least score at other operating points, at `weakest_point`; None if none were given.
+    decides : the mode that decides the score. loops : actuator -> signal, for its best mode.
+    holds : the least score at other operating points, at `weakest_point`; None if none were given.
     """
 
     actuators: tuple[str, ...]

@@ -129,10 +129,10 @@ def rank_loops(
     areas : machine name -> area, needed when `signals` is not given.
     actuators : plant inputs; default `actuators_of`.
     own_machine : rank a difference only with actuators of its own machines, so that one of its two parts is
-    local.
-    order : order of the balanced reduction whose coordinates define the geometric index. least : share of the
-    plant's largest gain at the mode's frequency; a mode with smaller residues is not controllable or
-    observable.
+        local.
+    order : order of the balanced reduction whose coordinates define the geometric index.
+    least : share of the plant's largest gain at the mode's frequency; a mode with smaller residues is not
+        controllable or observable.
 
     Raises
     ------

@@ -63,7 +63,7 @@ def eigenvalue_sensitivity(
     modes : of the plant at `value`, from the same states as `matrix_of` returns.
     matrix_of : state matrix A (n, n) of the plant for a value of the parameter, operating point included.
     value : of the parameter. At 0 the difference is one-sided (many parameters may not be negative) and its
-    step is `relative_step` itself.
+        step is `relative_step` itself.
     relative_step : of the wider difference, times \|value\|. step : to both sides, in its place, also at 0.
 
     Raises
