@@ -392,8 +392,7 @@ def _models(kind: str) -> list[type]:
 
 
 def write(pages: Path) -> list[Path]:
-    """Write the reference pages into a folder and the schemas into the folder of this module; return the
-    files."""
+    """Write the reference pages into a folder and the schemas beside this module; return all files."""
     files = []
     for kind in kinds():
         for file, text in (
