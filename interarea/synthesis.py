@@ -206,8 +206,7 @@ def _require_same_loop(judged: Controller | ControllerBank, table: DesignTable) 
 
 
 def plain_design(judged: Controller | ControllerBank, grid: Case, conditions: Sequence[str]) -> DesignTable:
-    """Return the design that requires a stable loop on the unchanged `grid` under `conditions`
-    (`certify`)."""
+    """Return the design that requires a stable loop on `grid` under `conditions` (`certify`)."""
     signals = tuple(judged.inputs)
     plain = (*PLAIN, *(f"L:{s}" for s in signals), *(f"s200+L:{s}" for s in signals if len(signals) > 1))
     states = max(c.order for c in (judged.members if isinstance(judged, ControllerBank) else (judged,)))
