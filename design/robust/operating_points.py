@@ -1,7 +1,7 @@
-"""A controller judged on full plants: every operating point under every loss and latency, exactly.
+"""Evaluation of a controller on full plants: every operating point, loss and latency, exactly.
 
-What `design.py` proposes from reduced plants and Padé models is decided here: full
-plants, exact latency, roots of the characteristic equation.
+`design.py` proposes a controller from reduced plants and Padé models; this module evaluates it on full plants
+with exact latency, by the roots of the characteristic equation.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ INTER_AREA_HZ = (0.3, 0.9)
 
 @dataclass(frozen=True)
 class FamilyRow:
-    """One operating point under one condition; a damping ratio of 1 where no root swings in the band.
+    """One operating point under one condition; a damping ratio of 1 if no oscillatory root is in the band.
 
-    Of a `LargePlant` the inter-area modes are followed from the open loop, because local ones lie in their
-    band, and `rightmost` is that of the swings.
+    For a `LargePlant` the inter-area modes are tracked from the open loop, because local ones lie in their
+    band, and `rightmost` covers oscillations only.
     """
 
     point: str
@@ -101,18 +101,18 @@ def judge_family(
     bands_hz: Mapping[str, tuple[float, float]] | None = None,
     progress: Callable[[float], object] = lambda share: None,
 ) -> FamilyCertificate:
-    """Return what `K` does on every plant under every condition, and where it misses what is asked.
+    """Return the results of `K` on every plant under every condition, and the violated requirements.
 
     Parameters
     ----------
     plants : operating point -> full plant without reference angle, speeds in rad/s, or a large one as blocks.
     K : inputs named by signal (rad/s), outputs by actuator (pu), u = +K y.
-    worst_swing, inter_area : damping ratios asked of every row.
-    targets : condition, or kind of it ("all", "late", "lost", "scaled"), -> both, asked of its rows instead.
-    at : operating point -> both, asked of all its rows instead.
+    worst_swing, inter_area : required damping ratios of every row.
+    targets : condition, or kind of it ("all", "late", "lost", "scaled"), -> both, for its rows instead.
+    at : operating point -> both, for all its rows instead.
     effort_cap, fastest_pole : pu per rad/s, rad/s.
     bands_hz : operating point -> where its inter-area modes are (`inter_area_band`); default `INTER_AREA_HZ`.
-    progress : called with the share of the rows that is done.
+    progress : called with the completed share of the rows.
     """
     bands = dict.fromkeys(plants, INTER_AREA_HZ) | dict(bands_hz or {})
     rows: list[FamilyRow] = []
@@ -223,7 +223,7 @@ def inter_area_band(modes: Mapping[str, Mode] | None) -> tuple[float, float]:
     """Return the frequencies (Hz) in which a closed loop's roots count as inter-area ones.
 
     From half the slowest such mode of the open loop to between its fastest and the slowest local one;
-    `INTER_AREA_HZ` where no mode has that name.
+    `INTER_AREA_HZ` if no mode has that name.
     """
     result = {name: mode.frequency_hz for name, mode in (modes or {}).items()}
     between = [hertz for name, hertz in result.items() if name.startswith("inter-area")]
@@ -242,7 +242,7 @@ def family_row(
     condition: Condition,
     inter_area_hz: tuple[float, float],
 ) -> FamilyRow:
-    """Return what `K` does on one plant under one condition; parameters as of `judge_family`."""
+    """Return the results of `K` on one plant under one condition; parameters as in `judge_family`."""
     if isinstance(plant, LargePlant):
         facts = plant.facts(K, condition)
         return FamilyRow(point, condition.name, **asdict(facts))

@@ -1,8 +1,8 @@
-"""What the signals of a controller are worth: without them, and beside the best own-signal controller.
+"""Value of a controller's signals: comparison without them, and with the best own-signal controller.
 
-A controller that sees the speeds of other machines is judged beside itself with signals masked, and beside
-one of equal order, effort and conditions that was designed to see the machines of its actuators alone. Only
-the second is a fair rival: a masked controller was never meant to run so.
+A controller that uses speeds of other machines is compared with itself with signals masked, and with one of
+equal order, effort and conditions that was designed for the machines of its actuators alone. Only the second
+is a fair rival: a masked controller was not designed to run masked.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ PAYS_CYCLES = 0.5
 
 @dataclass(frozen=True)
 class WorthRow:
-    """What is reached with some of the signals, while nothing is lost: the least over points and latencies.
+    """Results with some of the signals and nothing lost: the least over points and latencies.
 
-    common_rise : mean answer (pu) to the common rise of speed after a fault; None where none was looked at.
-    clearing_cycles : mean change of the clearing times against no control; None: not searched.
+    common_rise : mean response (pu) to the common rise of speed after a fault; None: not computed.
+    clearing_cycles : mean change of the clearing times relative to no control; None: not searched.
     """
 
     name: str
@@ -44,7 +44,8 @@ class WorthRow:
 
 @dataclass(frozen=True)
 class SignalWorth:
-    """The controller, the same with each signal masked, and its rival, best first; `sentence` says it all."""
+    """The controller, the same with each signal masked, and its rival, best first; `sentence` is the
+    conclusion."""
 
     afar: tuple[str, ...]  #: signals of other machines than those of the actuators that see them
     open_loop: WorthRow
@@ -64,13 +65,13 @@ class SignalWorth:
 
     @property
     def adds(self) -> float | None:
-        """What the signals from afar add to the inter-area damping over `best_own`; None without a rival."""
+        """Inter-area damping that the remote signals add to `best_own`; None without a rival."""
         own = self.best_own
         return None if self.rival is None or own is None else self.whole.inter_area - own.inter_area
 
     @property
     def adds_cycles(self) -> float | None:
-        """What they add to the mean clearing time, cycles, over the rival; None where it was not searched."""
+        """Mean clearing time that they add to the rival's, cycles; None if it was not searched."""
         ours = self.whole.clearing_cycles
         rivals = None if self.rival is None else self.rival.clearing_cycles
         return None if ours is None or rivals is None else ours - rivals
@@ -84,7 +85,7 @@ class SignalWorth:
 
     @property
     def sentence(self) -> str:
-        """What the signals from afar are worth, in one sentence."""
+        """Value of the remote signals, as one sentence."""
         whole, alone = self.whole, next((row for row in self.masked if row.name == OWN_MASKED), None)
         if not self.afar:
             gain = whole.inter_area - self.open_loop.inter_area
@@ -127,7 +128,7 @@ class SignalWorth:
         return " and ".join(parts)
 
     def with_clearing(self, ours: float | None, rivals: float | None) -> SignalWorth:
-        """Return it with the mean change of its clearing times, and of its rival's, cycles."""
+        """Return the result with the mean change of its clearing times and of its rival's, cycles."""
         rival = None if self.rival is None else replace(self.rival, clearing_cycles=rivals)
         return replace(self, whole=replace(self.whole, clearing_cycles=ours), rival=rival)
 
@@ -155,7 +156,7 @@ def own_signals(actuators: Sequence[str], signals: Sequence[str]) -> dict[str, t
 
 
 def seen_by(K: control.StateSpace) -> dict[str, tuple[str, ...]]:
-    """Return output -> the inputs that reach it, by the structure of A, B, C, D."""
+    """Return output -> the inputs that affect it, by the structure of A, B, C, D."""
     _, B, _, D = matrices(K)
     inputs = np.array(K.input_labels)
     seen = {}
@@ -166,9 +167,9 @@ def seen_by(K: control.StateSpace) -> dict[str, tuple[str, ...]]:
 
 
 def masked(K: control.StateSpace, sees: Mapping[str, Sequence[str]]) -> control.StateSpace:
-    """Return `K` with each output seeing the named signals alone, the rest of its part reading zero.
+    """Return `K` with each output using only the named signals; the others of its part are zero.
 
-    Of outputs that share states each gets a copy of its own: what one no longer sees the other may.
+    Outputs that share states get a copy each, because their signals may differ.
     """
     A, B, C, D = matrices(K)
     inputs = list(K.input_labels)
@@ -191,7 +192,7 @@ def masked(K: control.StateSpace, sees: Mapping[str, Sequence[str]]) -> control.
 
 
 def states_of(K: control.StateSpace, row: int) -> list[int]:
-    """States from which output `row` is reached, through A too."""
+    """States that affect output `row`, also through A."""
     A, _, C, _ = matrices(K)
     reached = {int(k) for k in np.flatnonzero(C[row])}
     while True:
@@ -210,15 +211,15 @@ def signal_worth(
     bands_hz: Mapping[str, tuple[float, float]] | None = None,
     remark: str = "",
 ) -> SignalWorth:
-    """Judge `K` with all signals, without each, with the own machines' alone, and its rival.
+    """Evaluate `K` with all signals, without each, with the own machines' alone, and its rival.
 
-    Every operating point counts, under the conditions in which nothing is lost or scaled; one signal after
-    the other is masked at the first point with nothing late, which costs little.
+    All operating points are used, under the conditions without loss or scaling; single signals are masked
+    only at the first point with nothing late, to save time.
 
     Parameters
     ----------
-    plants, conditions, bands_hz : as `judge_family` takes them.
-    rival : the best controller known that sees the own machines' signals alone.
+    plants, conditions, bands_hz : as in `judge_family`.
+    rival : the best known controller that uses only the own machines' signals.
     remark : why there is none.
     """
     there = [c for c in conditions if c.kind in ("all", "late")] or list(NOW)
@@ -253,7 +254,7 @@ def signal_worth(
 
 
 def signals_from_afar(K: control.StateSpace) -> tuple[str, ...]:
-    """Return the inputs that reach an output of another machine."""
+    """Return the inputs that affect an output of another machine."""
     own = own_signals(list(K.output_labels), list(K.input_labels))
     sees = seen_by(K)
     return tuple(
@@ -262,7 +263,7 @@ def signals_from_afar(K: control.StateSpace) -> tuple[str, ...]:
 
 
 def own_alone(K: control.StateSpace) -> control.StateSpace:
-    """Return `K` with each output seeing the signals of its own machine alone."""
+    """Return `K` with each output using only the signals of its own machine."""
     return masked(K, own_signals(list(K.output_labels), list(K.input_labels)))
 
 

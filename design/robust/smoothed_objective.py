@@ -8,12 +8,11 @@ One controller :math:`K = (A_K, B_K, C_K, D_K)` is judged on a family of design 
     f(K) = \frac1\rho \log \sum e^{\rho v}, \qquad
     v = t(|b|) - z + \max(a, 0)^2, \qquad z = \frac{-a}{\max(|\lambda|, 0.2)} ,
 
-so that minimising *f* raises the least damping ratio *z* over all models; the
-band offsets *t* ask more of the inter-area band than of the rest; of what grows they
-count from 0 on, so that no band asks less than stability. The square is
-for real roots that run away: their damping ratio is -1, however fast they are. All
-eigenvalues count: there is no sorting and no mode tracking. Penalties keep the
-control effort below a cap over frequency and the controller's poles in a band.
+so that minimising *f* raises the least damping ratio *z* over all models. The band offsets *t* require more
+of the inter-area band than of the rest; for growing eigenvalues negative offsets count as 0, so that every
+band requires stability. The square is for growing real roots, whose damping ratio is -1 for any speed. All
+eigenvalues count: there is no sorting and no mode tracking. Penalties keep the control effort below a cap
+over frequency and the controller's poles in a band.
 """
 
 from __future__ import annotations
@@ -80,9 +79,9 @@ class EffortGrid:
 class Objective:
     """f(K) and its gradient; `order`, `n_y`, `n_u` fix the shapes, `mask` the structure.
 
-    The parameter vector holds A_K, B_K, C_K, D_K row by row, masked entries left out; without a mask D_K
-    is left out too unless `feedthrough` is set. With `dc_block` D_K is no parameter but C_K A_K^-1 B_K, so
-    that K(0) = 0: a washout that costs no state, its corner the slowest pole of K. `swing` adds its penalty.
+    The parameter vector has A_K, B_K, C_K, D_K row by row without masked entries, and without D_K if there is
+    no mask and no `feedthrough`. With `dc_block` D_K is not a parameter but C_K A_K^-1 B_K, so that K(0) = 0:
+    a washout without a state, whose corner is the slowest pole of K. `swing` adds its penalty.
     """
 
     models: Sequence[DesignModel]
@@ -216,9 +215,10 @@ class Objective:
         return value + more, gradient + self.pack_gradient(K, *slopes)
 
     def hinges(self, K: Gains, margin: float = 0.0) -> tuple[Array, Array]:
-        """Return by how much effort and poles exceed their bounds (h,), and the gradients (h, parameters).
+        """Return the excess of effort and poles over their bounds (h,), and its gradients (h, parameters).
 
-        The penalty is the sum of their squares. margin : those so near within a bound too, below 0.
+        The penalty is the sum of the squares. margin : also return values within a bound by at most this,
+        below 0.
         """
         result = [self.pole_hinges(K, margin)]
         result += [self._effort_hinges(K, *grid, margin) for grid in self.grids]
@@ -279,10 +279,10 @@ class Objective:
     def excess(
         self, values: npt.NDArray[np.inexact[Any]], models: Sequence[DesignModel] = ()
     ) -> tuple[Array, Complex]:
-        """v of every eigenvalue and dv/da - j dv/db; -1 of the common speed, which no controller moves.
+        """v of every eigenvalue and dv/da - j dv/db; -1 for the common speed, which no controller moves.
 
-        The last axis holds the eigenvalues of one loop: the one nearest to 0 may be that speed, and no other.
-        models : (k,) of the loops, `values` then (k, n); none: no model asks more than another.
+        The last axis has the eigenvalues of one loop; only the one nearest to 0 may be that speed. models :
+        (k,) of the loops, `values` then (k, n); none: all models have equal requirements.
         """
         a, b = values.real, values.imag
         modulus = np.abs(values)
@@ -318,7 +318,7 @@ class Objective:
         return away - 3.0 * a * b**2 / m**5, b * (2.0 * a**2 - b**2) / m**5, a * (2.0 * b**2 - a**2) / m**5
 
     def pole_hinges(self, K: Gains, margin: float = 0.0) -> tuple[Array, Array]:
-        """Return by how much poles of K are out of their bounds (h,), and the gradients (h, parameters)."""
+        """Return the excess of poles of K over their bounds (h,), and its gradients (h, parameters)."""
         poles, right = np.linalg.eig(K[0])
         left = np.linalg.inv(right)
         size = np.maximum(np.abs(poles), 1e-9)

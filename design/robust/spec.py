@@ -22,7 +22,7 @@ from .swing_penalty import SwingPenalty
 
 @dataclass(frozen=True)
 class RobustSpec:
-    """What a robust design must hold, and how hard to try.
+    """Requirements of a robust design, and the extent of its search.
 
     signals : controller inputs (speeds, rad/s), e.g. ("G2_dw", "G4_dw").
     actuators : controller outputs (pu), e.g. ("G4_vs",).
@@ -30,10 +30,10 @@ class RobustSpec:
     sees : actuator -> (signals, order) of a decentralised controller; empty = one full controller.
     effort_cap : (omega, cap) nodes in rad/s and pu per rad/s, log-log interpolated; None = no cap.
     effort_under : names of the conditions under which it holds; none = all.
-    stages : of the search, each with more of the conditions, by steps that follow each eigenvalue from a
-        first guess made for the loops; none = L-BFGS on all of them from random starts.
+    stages : of the search, each with more conditions, by steps that follow each eigenvalue from a first guess
+    for the loops; none = L-BFGS on all of them from random starts.
     washout_s : time constant of sT/(1+sT) in series with each output; 0 = none.
-    dc_block : K(0) = 0 by D = C A^-1 B instead of a washout in series: no state is spent on it.
+    dc_block : K(0) = 0 by D = C A^-1 B instead of a washout in series, without a state.
     slowest_pole, fastest_pole : rad/s, of the controller; with `dc_block` the slowest is the least corner of
         its high pass.
     feedthrough : whether D of the controller is free too, which costs no state.
@@ -76,7 +76,7 @@ class RobustSpec:
 
 
 def check_spec(spec: RobustSpec) -> None:
-    """Refuse orders, caps and conditions that contradict themselves.
+    """Reject contradictory orders, caps and conditions.
 
     Raises
     ------
@@ -135,12 +135,12 @@ def _check_bounds(spec: RobustSpec) -> None:
 
 
 def check_plants(plants: Mapping[str, control.StateSpace], spec: RobustSpec) -> None:
-    """Refuse plants the design models cannot be made of, and unstable modes that are out of reach.
+    """Reject plants without a design model, and unstable modes that are not controllable or observable.
 
     Raises
     ------
     ValueError : a matrix that is not finite, D that is not zero, more states of K than of the plant.
-    InfeasibleDesign : an unstable mode that no actuator moves or no signal shows.
+    InfeasibleDesign : an unstable mode that is not controllable or not observable.
     """
     order = max([order for _, order in spec.sees.values()], default=spec.order)
     for point, plant in plants.items():
@@ -159,7 +159,7 @@ def check_plants(plants: Mapping[str, control.StateSpace], spec: RobustSpec) -> 
 def require_moved(
     point: str, plant: control.StateSpace, spec: RobustSpec, modes: Mapping[str, Mode] | None = None
 ) -> None:
-    """Refuse a target mode, or an unstable one, that no actuator moves or no signal shows.
+    """Reject a target mode or unstable mode that is not controllable or not observable.
 
     modes : of the plant; the inter-area modes among them are targets. None: only unstable modes.
 

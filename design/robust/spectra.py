@@ -1,7 +1,7 @@
-"""Eigenvalues and eigenvectors of many closed loops, shared out over the processors.
+"""Eigenvalues and eigenvectors of many closed loops, distributed over the processors.
 
-LAPACK uses one processor for matrices of this size, and a search does little else. The answers do not
-depend on how many there are: each loop is looked at by itself.
+LAPACK uses one processor for matrices of this size, and a search does little else. The results do not depend
+on the number of processors, because each loop is solved separately.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ def eigenvalues(loops: Array) -> Complex:
 
 
 def eigensystems(loops: Sequence[Array] | Array) -> Iterator[tuple[Complex, Complex, Complex] | None]:
-    """Yield of each matrix (n, n) its eigenvalues (n,), right and left eigenvectors (n, n), l r = I.
+    """Yield the eigenvalues (n,), right and left eigenvectors (n, n) of each matrix (n, n), l r = I.
 
-    None of a defective one.
+    None for a defective one.
     """
     with ThreadPoolExecutor() as pool:
         yield from pool.map(_eigensystem, loops)

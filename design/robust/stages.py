@@ -1,4 +1,5 @@
-"""The search in stages: few conditions at first, then more, each stage from where the last one ended."""
+"""The search in stages: few conditions at first, then more, each stage from the result of the previous
+one."""
 
 from __future__ import annotations
 
@@ -31,11 +32,11 @@ Tell = Callable[[str, float, float], object]  #: what is under way, the share th
 class Stage:
     """One stage of the search.
 
-    points, conditions : names of those that are looked at; none: all.
+    points, conditions : names of those that are used; none: all.
     rho : how closely the smoothed worst follows the worst, from one to the next.
     steps : of the descent at each, at most.
-    offsets : how much more than elsewhere a band is wanted in this stage; none: as in the whole.
-    longest_s : of processor time, after which no more step is begun, of each start; what is reached goes on.
+    offsets : additional damping required of each band in this stage; none: that of the design.
+    longest_s : processor time of each start, after which no step begins; the next stage uses its result.
     """
 
     points: tuple[str, ...] = ()
@@ -76,10 +77,10 @@ def staged_search(
 ) -> tuple[Array, int, list[tuple[float, Array]]]:
     """Return the parameters after the last stage, evaluations, and (objective, parameters) of every start.
 
-    starts : given ones, taken with their best gain; `guesses` more are made for the first stage, their gains
-    within `bound`. The best of all after the first stage goes on. descend : L-BFGS for some evaluations;
-    gives both of these.
-    progress : called with (one of `stage_parts`, the share of it that is done, the objective).
+    starts : given ones, used with their best gain; the first stage adds `guesses` more, with gains within
+    `bound`. The best after the first stage continues. descend : L-BFGS for some evaluations; returns
+    parameters and evaluations.
+    progress : called with (one of `stage_parts`, its completed share, the objective).
     """
     report = progress or _silent
     count_of = len(starts) + guesses
@@ -106,10 +107,10 @@ def staged_search(
 
 
 def with_best_gain(objective: Objective, theta: Array) -> Array:
-    """Return the controller with its outputs by that one of `GAINS` at which the objective is least.
+    """Return the controller with its outputs scaled by the one of `GAINS` with the least objective.
 
-    What was designed for few models may do harm in others; a descent from there may end above what the grid
-    has without control.
+    A controller designed for few models may destabilise others; a descent from there may end worse than no
+    control.
     """
     A, B, C, D = objective.unpack(theta)
     scaled = [objective.pack(A, B, gain * C, gain * D) for gain in GAINS]
@@ -121,8 +122,8 @@ def stabilised(
 ) -> tuple[Array, int]:
     """Return parameters that keep every model stable, if `descend` finds them from `theta`, and evaluations.
 
-    The effort has no bound where an eigenvalue crosses the imaginary axis: to one that is on the wrong
-    side its penalty is a wall before the right one. It is left out until all are there.
+    The effort is unbounded where an eigenvalue crosses the imaginary axis, so its penalty would keep an
+    unstable eigenvalue from crossing. It is omitted until all models are stable.
     """
     free, count = replace(objective, efforts=(), swing=None), 0
     for _ in range(STABILISING):
@@ -134,7 +135,7 @@ def stabilised(
 
 
 def stage_parts(k: int, stages: int, starts: int) -> list[str]:
-    """Return what stage `k` is made of: the first of each start.
+    """Return the parts of stage `k`; the first stage has one for each start.
 
     >>> stage_parts(1, 2, 2), stage_parts(2, 2, 2)
     (['stage 1 of 2, start 1 of 2', 'stage 1 of 2, start 2 of 2'], ['stage 2 of 2'])

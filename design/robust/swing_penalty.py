@@ -1,13 +1,13 @@
-r"""What a controller adds to the first swing after a fault, to first order, with its gradient.
+r"""Contribution of a controller to the first swing after a fault, to first order, with its gradient.
 
-Eigenvalues do not show it. Along the run *without* control the sensitivity :math:`s_a(t)` of the first peak
-angle to each actuator is known (degrees per pu and second), and so are the signals y(t) that the controller
-would have got, late and lost ones as they are. With :math:`u = K y`
+Eigenvalues do not show it. The run *without* control gives the sensitivity :math:`s_a(t)` of the first peak
+angle to each actuator (degrees per pu and second), and the signals y(t) of the controller, with latency and
+losses. With :math:`u = K y`
 
 .. math:: P = \sum_a \int s_a(t)\, L \tanh(u_a(t) / L)\, dt
 
-is what a limit of +-L lets through, in degrees. Asked is :math:`P \le m` in every case, by the penalty
-:math:`\sum \max(0, (P - m) / 10)^2`.
+is the contribution within a limit of +-L, in degrees. Required is :math:`P \le m` in every case, by the
+penalty :math:`\sum \max(0, (P - m) / 10)^2`.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ SCALE_DEG = 10.0
 
 @dataclass(frozen=True)
 class SwingCase:
-    """One fault without control, as a controller would see it: samples at equal steps, the first at rest."""
+    """One fault without control, as input of a controller: uniform samples, the first at equilibrium."""
 
     name: str
     signals: Array  #: (t, p) what arrives at the controller, rad/s; zero where it is lost
@@ -36,7 +36,7 @@ class SwingCase:
 
 @dataclass(frozen=True)
 class SwingPenalty:
-    """The penalty over cases of one length and step; `margin_deg` is allowed of each."""
+    """The penalty over cases of one length and step; each may contribute `margin_deg`."""
 
     cases: Sequence[SwingCase]
     step_s: float
