@@ -107,7 +107,7 @@ COMMANDS = {
     ),
     "export": (
         "grids:export",
-        "Write a case, at any operating point, as one file; name the content that its format cannot hold.",
+        "Write a case, at any operating point, as one file; list what its format cannot represent.",
     ),
     "meter": (
         "records.meter:meter",

@@ -247,7 +247,7 @@ def certify(
         bool,
         typer.Option(
             "--wrong-signals",
-            help="instead: non-linear runs of twelve kinds of wrong signals, with and without a detector",
+            help="only non-linear runs of twelve kinds of wrong signals, with and without a detector",
         ),
     ] = False,
     detector: Annotated[

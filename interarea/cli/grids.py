@@ -148,7 +148,7 @@ def export(
         bool, typer.Option("--json", help="print the files and the omitted content as JSON")
     ] = False,
 ) -> None:
-    """Write a case, at any operating point, as one file; name the content that its format cannot hold."""
+    """Write a case, at any operating point, as one file; list what its format cannot represent."""
     from interarea.models.case.case import load_case
     from interarea.models.case.variants import operating_variant
     from interarea.models.case.write_toml import export_toml
@@ -260,7 +260,7 @@ def _keys_of(path: Path) -> set[str]:
 
 
 def _tell(written: Mapping[Path, Sequence[str]], as_json: bool) -> None:
-    """Print the files that were written, and what each of them cannot hold."""
+    """Print the files that were written, and what each of them cannot represent."""
     if as_json:
         files = [{"file": str(path), "not_in_it": list(losses)} for path, losses in written.items()]
         typer.echo(json.dumps({"files": files}, indent=2))

@@ -55,7 +55,8 @@ def modes(
         bool, typer.Option("--margins", help="distance of the controls from their limits")
     ] = False,
     plot: Annotated[
-        Path | None, typer.Option("--plot", metavar="DIR", help="draw the shapes, on a map if it can")
+        Path | None,
+        typer.Option("--plot", metavar="DIR", help="draw the shapes, on a map where buses have locations"),
     ] = None,
     band: Annotated[
         str | None,

@@ -124,7 +124,7 @@ def device(
         list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="a parameter of the device")
     ] = None,
     at: Annotated[
-        list[str] | None, typer.Option("--at", metavar="SIGNAL=VALUE", help="its input, as vt=1.02")
+        list[str] | None, typer.Option("--at", metavar="SIGNAL=VALUE", help="an input, e.g. vt=1.02")
     ] = None,
     base_mva: Annotated[float, typer.Option("--base", metavar="MVA", help="base of its machine")] = 100.0,
     stop_s: Annotated[float, typer.Option("--stop", metavar="S", help="length of the step response")] = 10.0,

@@ -50,7 +50,7 @@ def run(
     self_test: Annotated[
         bool,
         typer.Option(
-            "--self-test", help="measure the latency of every connection; exit code 1 if not as stated"
+            "--self-test", help="measure the latency of every connection; exit code 1 if it differs"
         ),
     ] = False,
     record: Annotated[

@@ -82,7 +82,7 @@ def study(
         typer.Option(
             "--mva",
             metavar="MVA",
-            help="of actuators: power of each device (else the least of the case)",
+            help="of actuators: power of each device (else the smallest of the case)",
             callback=within(above=0.0, unit="MVA"),
         ),
     ] = None,

@@ -176,7 +176,7 @@ def screen(
         ),
     ],
     out: OutFolder,
-    trips: Annotated[bool, typer.Option("--trips", help="open each branch instead of faults")] = False,
+    trips: Annotated[bool, typer.Option("--trips", help="trip each branch instead of a fault")] = False,
     bus: Annotated[
         list[int] | None, typer.Option("--bus", metavar="NUMBER", help="only this bus; repeatable")
     ] = None,
