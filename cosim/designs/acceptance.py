@@ -307,7 +307,7 @@ Groups: TypeAlias = Sequence[tuple[Setting, list[Setting]]]
 
 @dataclass
 class _Collected:
-    """What the runs and loops of an acceptance came to, as they come."""
+    """Results of the runs and loops of an acceptance, in the order of completion."""
 
     lost: list[str] = field(default_factory=list)
     gained: list[str] = field(default_factory=list)

@@ -76,7 +76,7 @@ def rival_table(table: DesignTable) -> DesignTable:
 
 
 def _own_of(table: DesignTable) -> dict[str, tuple[str, ...]]:
-    """Return actuator -> the signals of its own machine; ScenarioError where no rival can be made of them."""
+    """Return actuator -> the signals of its own machine; ScenarioError if they permit no rival."""
     sees = {part.actuator: part.signals for part in table.part}
     sees = sees or dict.fromkeys(table.actuators, table.signals)
     own = {a: own_signals([a], selected)[a] for a, selected in sees.items()}

@@ -260,7 +260,7 @@ def least_held(rows: Sequence[Mapping[str, Any]]) -> float:
 def _with_worst_points(
     design: GridDesign, cache: Path, clock: Clock, progress: Callable[[float], object]
 ) -> GridDesign:
-    """Take up the operating point at which a design holds least, where that is none of its own.
+    """Add the operating point with the least margin of a design, if it is not among the design's own.
 
     It is searched for again with that point, and what comes out is taken where it holds more over the points
     of both. A point counts where the design holds less there than it is asked for and than at its own points.
@@ -343,7 +343,7 @@ def _with_faults(
 
 
 def _better(design: GridDesign) -> tuple[int, float, int]:
-    """Return what decides between designs: unstable loops, what is missed of what is asked, lost faults."""
+    """Return the criteria for comparing designs: unstable loops, missed requirements, lost faults."""
     certificate, requested = design.certificate, design.proposal.table.ask
     unstable, short = falls_short(certificate, requested.inter_area, requested.worst_swing)
     lost = len((certificate["acceptance"] or {}).get("lost", ()))

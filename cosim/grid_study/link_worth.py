@@ -125,7 +125,7 @@ def signals_of_set(weak: WeakModes, chosen: LoopSet) -> tuple[dict[str, Any], di
 
 
 def _partners(weak: WeakModes, own: str, free: Sequence[str]) -> dict[str, str]:
-    """Return the machines of the own area and of another whose speed is added, empty where none is free."""
+    """Return the machines of the own area and of another whose speed is added, empty if none is free."""
     shape, areas = weak.weakest.shape, weak.case.areas
     near = [m for m in free if m != own and areas[m] == areas[own]]
     far = [m for m in free if areas[m] != areas[own]]

@@ -193,7 +193,7 @@ def _findings(findings: Findings, proposal: Proposal | None = None) -> dict[str,
 def _loop_row(
     chosen: LoopSet, damping: float | None = None, own: float | None = None, *, taken: bool = False
 ) -> dict[str, Any]:
-    """Return a set of loops as JSON values; None stands for what no short design has shown yet."""
+    """Return a set of loops as JSON values; None for results without a short design yet."""
     reached = {"damping": damping, "own": own, "taken": taken}
     return {"actuators": list(chosen.actuators), "why": chosen.reason, **reached}
 

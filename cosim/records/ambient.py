@@ -130,7 +130,7 @@ def estimate_of_one(values: Array, step_s: float, band_hz: tuple[float, float]) 
 
 
 def _strongest(R: Array, rows: int, step_s: float, band_hz: tuple[float, float]) -> complex | None:
-    """Return the pole with the largest share, the mean over a few orders; None where none is in the band."""
+    """Return the pole with the largest share, the mean over a few orders; None if none is in the band."""
     best = []
     for poles, _, shares in _subspace(R, rows, _FEW_ORDERS, step_s):
         f = poles.imag / (2.0 * np.pi)

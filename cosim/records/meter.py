@@ -116,7 +116,7 @@ def meter(
 
 
 def _of_short(swings: Swings, source: str, band_hz: tuple[float, float]) -> tuple[list[Swing], str]:
-    """Return the swings of a record without a disturbance that stands out, and the kind: a minute or so."""
+    """Return the oscillations and the kind of a record of about a minute without a clear disturbance."""
     start = int(np.argmax(np.abs(swings.combined).max(axis=1)))
     error = 1.0
     if start < 0.5 * len(swings.combined):  # near the end many poles fit the little that is left

@@ -281,7 +281,7 @@ def _terminal(name: str, case: Case, known: set[str]) -> str | None:
 
 
 def _fitted(values: Array, step_s: float, near_hz: float) -> float:
-    """Return the frequency of the sine that leaves least of the signals, each of its own size."""
+    """Return the frequency of the sine with the least residual in the normalised signals."""
     half = 0.5 / (len(values) * step_s)
     scaled = values - values.mean(axis=0)
     scaled = scaled / np.maximum(scaled.std(axis=0), 1e-12)

@@ -1,12 +1,11 @@
-"""What a run came to: one rule for a single run, sweeps, screenings, acceptance, studies and the explorer.
+"""Verdict of a run: one rule for single runs, sweeps, screenings, acceptance, studies and the explorer.
 
-Synchronism is judged by the angles of all machines of each island over the whole run, and of all converters
-that are voltage sources. Whether what is left of
-a disturbance dies out is judged by spans (largest less least value in a window): of each machine's speed
-against the mean of its island, of that mean itself less its straight line, and of each control signal. Three
-windows are compared: all from the last event on, the last `LAST_S` (a quarter of the time that is judged
-where that is longer), and the window of the same length before it. No window holds an instant at which an
-event or an outage begins or ends.
+Synchronism is judged by the angles of all machines, and of all converters that are voltage sources, of each
+island over the whole run. Decay is judged by spans (largest minus least value in a window) of each machine's
+speed relative to the mean of its island, of that mean without its linear trend, and of each control signal.
+Three windows are compared: all from the last event on, the last `LAST_S` (a quarter of the judged time if
+that is longer), and the window of the same length before it. No window contains an instant at which an event
+or an outage begins or ends.
 
 ``explorer/web/judge.js`` is the same rule in JavaScript; a test runs both.
 """
@@ -56,7 +55,7 @@ _MOST_SAMPLES = 512  #: of an island's mean speed in a window
 
 @dataclass(frozen=True)
 class Verdict:
-    """What a run came to and what that was judged by.
+    """The verdict of a run with its evidence.
 
     name : one of `VERDICTS`, or `NOT_JUDGED`. why : in words with the numbers. window_s : judged for decay.
     largest, before, last : spans of what decided, pu: from the last event on, in the window before the last,
@@ -76,17 +75,17 @@ class Verdict:
 
     @property
     def stable(self) -> bool:
-        """Whether the machines stayed together and what is left of the disturbance falls."""
+        """Whether the machines kept synchronism and the remaining swing decays."""
         return self.name in STABLE
 
     @property
     def synchronous(self) -> bool:
-        """Whether no two machines or sources of an island came half a turn apart."""
+        """Whether no angle between two machines or sources of an island reached half a turn."""
         return self.lost_s is None
 
     @property
     def slips(self) -> int:
-        """How many whole turns two of them came apart."""
+        """Number of whole turns between two of them."""
         return int(self.angle_deg // 360.0)
 
     def __str__(self) -> str:
@@ -95,7 +94,7 @@ class Verdict:
 
 @dataclass
 class Motion:
-    """Takes the points of a run in parts, in the order of time, and gives its `Verdict`.
+    """Receives the points of a run in parts, in the order of time, and returns its `Verdict`.
 
     machines : names, in the order of the rows of speeds. sources : names of the converters that are voltage
     sources, whose angles come after those of the machines. islands : rows of the angles of each. events_s :
@@ -159,7 +158,7 @@ class Motion:
             self._spans[name].add(time, values[:, inside])
 
     def verdict(self, limit_pu: float | None, root: complex | None = None) -> Verdict:
-        """Return what the run came to.
+        """Return the verdict of the run.
 
         limit_pu : of the magnitude of every control signal, None where they have none. root : the least
         damped of the linear loop in the window that is judged, 1/s; None where it is not known. A run in
@@ -196,7 +195,7 @@ class Motion:
 
     @property
     def rule(self) -> str:
-        """The rule in words, with what of it could not be applied."""
+        """The rule in words, with the parts that could not be applied."""
         if not self.unseen:
             return RULE
         number, first = len(self.unseen), self.unseen[0]
@@ -217,7 +216,7 @@ class Motion:
         )
 
     def _decays(self) -> tuple[str, str, tuple[float, float, float]]:
-        """Return verdict, reason and spans of what decays worst: speeds, common speed, controls."""
+        """Return verdict, reason and spans of the least decaying of speeds, common speed and controls."""
         speeds = self._family("speeds")
         candidates = [(*_judged(*speeds[:3]), speeds)]
         means = [_detrended(w) for w in self._means]
@@ -281,7 +280,7 @@ class Motion:
 
 
 class Spans:
-    """Largest less least value of each signal in each window, and the largest magnitude there."""
+    """Largest minus least value of each signal in each window, and the largest magnitude there."""
 
     def __init__(self, windows: Sequence[tuple[float, float]]) -> None:
         self.windows = windows
@@ -315,10 +314,10 @@ class Spans:
 def window_of(
     events_s: Sequence[float], event_times_s: Sequence[float], stop_s: float
 ) -> tuple[float, float]:
-    """Return the window in which decay is judged: it begins at a mark, ends at one or with the run.
+    """Return the window for the decay: from one event time to the next, or to the end of the run.
 
-    From the last mark on; where that leaves less than `LAST_S`, from the mark before it that leaves as much,
-    but never from before the last event.
+    It begins at the last event time; if less than `LAST_S` remains, at an earlier one that leaves as much,
+    but never before the last event.
     """
     last_event = max((t for t in events_s if t < stop_s), default=0.0)
     edges = sorted({last_event, stop_s, *(t for t in event_times_s if last_event < t < stop_s)})
@@ -328,7 +327,7 @@ def window_of(
 
 
 def _judged(largest: float, before: float, last: float) -> tuple[int, float]:
-    """Return the place in `VERDICTS` of a signal with these spans, and by how much it fails to fall."""
+    """Return the position in `VERDICTS` of a signal with these spans, and the ratio of the last two spans."""
     ratio = last / before if before > 0.0 else float(last > 0.0) * 2.0
     if largest < NOTHING or last < NOTHING:
         return 0, 0.0

@@ -106,7 +106,7 @@ class _RightRun:
 
 
 def _machines(case: Case, signals: Sequence[str]) -> list[Machine]:
-    """Return whose set-points are pulsed: of the signals' machines, and of every so many others."""
+    """Return the machines with pulsed set-points: the signals' machines, and every so many others."""
     seen = [m for m in case.machines if f"{m.name}_dw" in signals]
     others = [m for m in case.machines if m not in seen]
     room = max(MOST_MACHINES - len(seen), 1)

@@ -253,7 +253,7 @@ def certify_wrong_signals(
 def _to_the_end(
     runs: FaultRuns, part: Sequence[WrongRun]
 ) -> Iterator[tuple[int, WrongRun, Outcome, Trajectory]]:
-    """Yield place, run, what it came to and showed; one that has not settled is run again, to `LONG_S`."""
+    """Yield place, run, verdict and results; a run that has not settled is run again, to `LONG_S`."""
     again: dict[int, WrongRun] = {}
     for k, (outcome, data) in enumerate(runs.judged(part, [None] * len(part))):
         if outcome.verdict is None or outcome.verdict.name in (SETTLED, LOST):

@@ -155,7 +155,7 @@ def _show_designed(
 
 
 def _show_made(made: GridDesign, assumptions: list[str], files: list[Path], *, json_: bool) -> None:
-    """Print what a design for a grid came to; exit code 1 where it misses what was asked."""
+    """Print the results of a design for a grid; exit code 1 if it misses a requirement."""
     from interarea.cosim.grid_study.page import sentence
 
     reasons = list(made.proposal.reasons)

@@ -85,7 +85,7 @@ def _order(file: Path) -> str:
 
 
 def _title(file: Path) -> str:
-    """Return the title of a TOML file: it stands before the first table."""
+    """Return the title of a TOML file, which is before the first table."""
     head = re.split(r"^\[", read_text(file), maxsplit=1, flags=re.MULTILINE)[0]
     return str(tomllib.loads(head).get("title", ""))
 

@@ -111,7 +111,7 @@ def run(
 
 
 def _refuse_unused(options: Mapping[str, object]) -> None:
-    """Refuse options about files where none is written."""
+    """Reject options about files if none is written."""
     for option, value in options.items():
         if value:
             raise UsageMistake(f"run: {option} needs a folder for the results, wanted: --out DIR")

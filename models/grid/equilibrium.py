@@ -214,7 +214,7 @@ def _linear_network(
 def _machine_point(
     m: Machine, delta: float, emf: complex, current: complex, gap: AirGap | None
 ) -> MachinePoint:
-    """The machine at rest; `emf` is that behind Ra + j Xd2, which with a port is not eq2 - j ed2."""
+    """The machine at equilibrium; `emf` is behind Ra + j Xd2, which with a port is not eq2 - j ed2."""
     if m.has_constant_emf:
         drop = complex(m.Ra, m.number("Xd1")) * current
         power = float((emf * np.conj(current)).real)

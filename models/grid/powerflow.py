@@ -294,7 +294,7 @@ def _solved(
 
 
 def _svc_q(case: Case, at_bus: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Q of each SVC: given, or of those that hold the voltage of a bus what is left there, by ratings."""
+    """Q of each SVC: given, or a share by rating of the rest at a bus whose voltage it controls."""
     index = bus_index(case)
     q = np.array([s.Q_mvar / case.base_mva for s in case.svcs], dtype=float)
     for k, svc in enumerate(case.svcs):

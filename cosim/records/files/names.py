@@ -1,4 +1,4 @@
-"""What a channel is, told by its name and unit as the files of different makers have them."""
+"""Identification of a channel by its name and unit in the files of different makers."""
 
 from __future__ import annotations
 

@@ -71,7 +71,7 @@ def read_record(
 
 @dataclass(frozen=True)
 class Piece:
-    """A part of a file. start_s, end_s : since its first sample. record : what it holds, or why none."""
+    """A part of a file. start_s, end_s : since its first sample. record : its content, or why none."""
 
     start_s: float
     end_s: float
