@@ -34,6 +34,7 @@ _STANDS_OUT = 5.0  # of the line over the median of the spectrum around it
 _FLOOR_HZ = 0.8
 _ROTATING = {"speed", "rotor angle"}  # what only a machine has
 _PHASES = 3.0  # of a line whose voltage is from phase to ground
+_RATED_HZ = 60.0  # of a grid whose case is not given
 
 
 @dataclass(frozen=True)
@@ -76,7 +77,7 @@ def located(
     band_hz: tuple[float, float] = BAND_HZ,
     frequency_hz: float | None = None,
     at: Mapping[str, str] | None = None,
-    rated_hz: float = 60.0,
+    rated_hz: float | None = None,
 ) -> Source:
     """Return the source of the largest oscillation in a band.
 
@@ -234,23 +235,26 @@ class Terminal:
 
 
 def terminals_of(
-    record: Record, at: Mapping[str, str] | None = None, rated_hz: float = 60.0
+    record: Record, at: Mapping[str, str] | None = None, rated_hz: float | None = None
 ) -> tuple[list[Terminal], list[str]]:
     """Return the terminals with sufficient measurements, and notes on the others.
 
     at : terminal -> the terminal that has its voltage and angle, as ``branch[7-8]`` -> ``bus7``. rated_hz :
-    of speeds in pu.
+    of speeds in pu; None: 60, with a note where a speed is used.
 
     Only powers of one unit can be compared: that of most machines, without machines that of most terminals.
     A terminal needs P (or V, I and both angles) and an angle (or a speed or frequency, whose integral is
     taken). Power counts out of the bus, that of a machine, which has a speed, into it.
     Phasors in kV from phase to ground and A give three phases.
     """
-    terminals, notes = [], []
+    terminals, notes, by_speed = [], [], []
     for name in record.terminals:
-        terminal, missing = _terminal(record, name, (at or {}).get(name, name), rated_hz)
+        place = (at or {}).get(name, name)
+        terminal, missing = _terminal(record, name, place, rated_hz or _RATED_HZ)
         if terminal is not None:
             terminals.append(terminal)
+            measured = record.terminals.get(place, {}).keys()
+            by_speed += [] if measured & {"voltage angle", "frequency"} else [name]
         elif missing:
             notes.append(f"{name}: no {missing}, left out")
     if not terminals:
@@ -258,6 +262,8 @@ def terminals_of(
             f"{record.source}: no terminal has power and angle, wanted at each: V, I and their angles, "
             "or P, Q, V and an angle"
         )
+    if by_speed and rated_hz is None:
+        notes.append(f"speeds are taken as pu of {_RATED_HZ:g} Hz; a case has the rated frequency")
     return _of_one_unit(terminals, notes), notes
 
 

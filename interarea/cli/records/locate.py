@@ -86,7 +86,7 @@ def _by_energy(
     places |= {f"branch[{b.name}]": f"bus{b.from_bus}" for b in grid.branches} if grid else {}
     try:
         with busy(f"energy flow of {file.name}"):
-            rated_hz = grid.frequency_hz if grid else 60.0
+            rated_hz = grid.frequency_hz if grid else None
             flow = located(record, band_hz=band, frequency_hz=frequency, at=places, rated_hz=rated_hz)
             return flow, ""
     except RecordError as error:

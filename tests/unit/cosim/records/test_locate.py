@@ -71,6 +71,9 @@ def test_the_speed_of_a_machine_counts_at_the_rated_frequency_of_its_grid() -> N
     for rated_hz in (50.0, 60.0):  # P into the bus: the mean of -2 sin x 2 pi f 1e-3 sin
         (flow,) = located(record, frequency_hz=F, rated_hz=rated_hz).flows
         assert flow.slope == pytest.approx(-2e-3 * np.pi * rated_hz, rel=0.01)
+    assumed = "speeds are taken as pu of 60 Hz; a case has the rated frequency"
+    assert assumed in located(record, frequency_hz=F).notes
+    assert assumed not in located(record, frequency_hz=F, rated_hz=60.0).notes
 
 
 def test_powers_of_another_unit_are_not_compared() -> None:
