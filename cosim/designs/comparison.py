@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from interarea.design.certificates.closed_loop import closed_loop_matrix
 from interarea.design.delay.curves import delayed_loop, rightmost_roots
 from interarea.design.linear.linearise import select, speeds_in_rad
-from interarea.design.linear.matrices import ZERO_EIGENVALUE
+from interarea.design.linear.matrices import decays
 from interarea.design.linear.norms import response
 from interarea.design.robust.operating_points import FamilyCertificate
 from interarea.models.files import together
@@ -143,7 +143,7 @@ def sensitivity_figure(G: control.StateSpace, alternatives: tuple[Alternative, .
     """Draw the largest singular value of (I - G K)^-1 without latency or loss, stable loops only."""
     curves = {}
     for one in alternatives:
-        if np.linalg.eigvals(closed_loop_matrix(G, one.system)).real.max() < ZERO_EIGENVALUE:
+        if decays(np.linalg.eigvals(closed_loop_matrix(G, one.system))):
             picked = select(G, list(one.system.output_labels), list(one.system.input_labels))
             loop = response(picked, _OMEGA) @ response(one.system, _OMEGA)
             S = np.linalg.inv(np.eye(loop.shape[1]) - loop)

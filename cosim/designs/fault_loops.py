@@ -22,7 +22,7 @@ from interarea.design.controllers.controller import Controller
 from interarea.design.delay.curves import delayed_loop, rightmost_roots
 from interarea.design.delay.signal_conditions import Condition
 from interarea.design.linear.linearise import select
-from interarea.design.linear.matrices import ZERO_EIGENVALUE
+from interarea.design.linear.matrices import ZERO_EIGENVALUE, decays
 from interarea.models.case.case import Case, CaseError
 from interarea.models.case.variants import operating_variant
 from interarea.models.grid.powerflow import PowerFlowError
@@ -137,4 +137,4 @@ def _dense_end(plant: control.StateSpace, K: control.StateSpace, condition: Cond
     if not moving.size:
         return LoopEnd(True, complex(_LEFT))
     root = complex(moving[int(np.argmax(moving.real))])
-    return LoopEnd(bool(roots.real.max() < ZERO_EIGENVALUE), complex(root.real, abs(root.imag)))
+    return LoopEnd(decays(roots), complex(root.real, abs(root.imag)))

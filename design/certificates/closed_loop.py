@@ -20,7 +20,7 @@ from ..delay.curves import DelayError, delayed_loop, rightmost_roots, track_gain
 from ..delay.signal_conditions import Condition
 from ..errors import UncertifiedDesign
 from ..linear.linearise import select
-from ..linear.matrices import ZERO_EIGENVALUE
+from ..linear.matrices import ZERO_EIGENVALUE, decays
 from ..linear.norms import hinf_of
 from ..linear.systems import state_space
 from ..modes.modes import Modes, damping_ratio
@@ -131,7 +131,7 @@ def _condition_row(
         poles = _delayed_poles(plant, K, modes, poles, condition)
     return {
         "condition": condition.name,
-        "stable": bool(rightmost.real < ZERO_EIGENVALUE),
+        "stable": decays(rightmost),
         "damping_ratio": {name: damping_ratio(p) for name, p in poles.items()},
         "rightmost": [rightmost.real, rightmost.imag],
     }

@@ -29,7 +29,7 @@ from ..delay.margin import resonance_grid, unit_crossings
 from ..delay.signal_conditions import Condition
 from ..delay.transfer_matrix import transfer_matrix
 from ..linear.linearise import select
-from ..linear.matrices import ZERO_EIGENVALUE
+from ..linear.matrices import ZERO_EIGENVALUE, decays
 from ..reduction.gramians import matrices
 from .large_loop import LargePlant
 
@@ -132,7 +132,7 @@ def _stable(plant: control.StateSpace | LargePlant, K: control.StateSpace) -> bo
     if isinstance(plant, LargePlant):
         return plant.facts(K, Condition("N")).stable
     values = np.linalg.eigvals(delayed_loop(plant, K).balanced().undelayed())
-    return bool(values.real.max() < ZERO_EIGENVALUE)
+    return decays(values)
 
 
 def _returned(

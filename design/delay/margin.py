@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.linalg import schur
 from scipy.optimize import brentq, minimize_scalar
 
-from ..linear.matrices import ZERO_EIGENVALUE
+from ..linear.matrices import decays
 from .characteristic_roots import DelayedLoop, DelayError, rightmost_roots
 
 Matrix = NDArray[np.float64]
@@ -56,7 +56,7 @@ def delay_margin_of(loop: DelayedLoop, signals: tuple[str, ...], *, upto_s: floa
         loop.balanced(), channels=tuple(c for c in loop.balanced().channels if c.name not in signals)
     )
     start = rightmost_roots(loop.at(dict.fromkeys(signals, 0.0)), right_of=0.0, least=1)
-    if not start[0].real < ZERO_EIGENVALUE:
+    if not decays(start[0]):
         raise DelayError(
             f"the loop is not stable without latency: rightmost root {start[0]:.4g}; it has no delay margin"
         )

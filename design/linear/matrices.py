@@ -16,6 +16,21 @@ Matrix = npt.NDArray[np.float64]
 
 #: 1/s: eigenvalues of a smaller modulus stand at 0 (`standing`), and a real part up to it is no growth
 ZERO_EIGENVALUE = 1e-6
+#: rad/s: a root that is slower may be one at 0, whose computed value has the root of the rounding error
+_SLOW = 1e-2
+
+
+def decays(roots: npt.ArrayLike) -> bool:
+    """Return whether a loop with these roots (1/s) is stable: no swing grows or persists, nothing else grows.
+
+    A root at 0, of a common speed or angle that nothing brings back, is allowed.
+
+    >>> decays([-0.1 + 4j, 2e-7]), decays([-0.1, 2e-7 + 4j]), decays([2e-6])
+    (True, False, False)
+    """
+    values = np.atleast_1d(np.asarray(roots, dtype=complex))
+    limit = np.where(np.abs(values.imag) > _SLOW, 0.0, ZERO_EIGENVALUE)
+    return bool(np.all(values.real < limit))
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from ..certificates.closed_loop import effort, loss_criterion
 from ..certificates.large_loop import SWING_HZ, WELL_DAMPED, LargePlant
 from ..delay.curves import delayed_loop, rightmost_roots
 from ..delay.signal_conditions import Condition
-from ..linear.matrices import ZERO_EIGENVALUE
+from ..linear.matrices import decays
 from ..modes.modes import Mode
 
 #: a plant of either kind: full and dense without reference angle, speeds in rad/s; or sparse blocks
@@ -253,7 +253,7 @@ def family_row(
     return FamilyRow(
         point,
         condition.name,
-        bool(rightmost < ZERO_EIGENVALUE),
+        decays(roots),
         rightmost,
         _least_damping(roots, SWING_HZ),
         _least_damping(roots, inter_area_hz),

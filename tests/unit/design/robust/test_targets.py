@@ -188,3 +188,14 @@ def test_states_below_rounding_leave_no_pole_of_their_own_in_a_design_model() ->
     slow = [e for e in np.linalg.eigvals(model.A) if e.real > -0.3 and abs(e) > 1e-3]
     assert len(slow) >= 4
     assert max(np.abs(full - e).min() / abs(e) for e in slow) < 0.01
+
+
+@pytest.mark.parametrize("excess", [1e-6, 1e-9])
+def test_a_swing_that_does_not_decay_is_unstable_however_slowly_it_grows(excess: float) -> None:
+    """A speed fed back with the mode's own damping .4 and a little more: its roots are excess / 2 +- 4j."""
+    A, B, C = _grid().A[:2, :2], [[0.0], [1.0]], [[0.0, 0.3], [0.0, 1.0]]
+    plant = control.ss(A, B, C, 0.0, inputs=["A_vs"], outputs=["A_dw", "B_dw"])
+    K = control.ss([], [], [], [[0.0, 0.4 + excess]], inputs=["A_dw", "B_dw"], outputs=["A_vs"])
+    certificate = judge_family({"base": plant}, K, (NOW,), worst_swing=-1.0, inter_area=-1.0)
+    assert certificate.rows[0].rightmost == pytest.approx(0.5 * excess, rel=0.01, abs=1e-12)
+    assert certificate.violations[0] == "base, N: unstable"
