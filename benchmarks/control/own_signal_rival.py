@@ -24,6 +24,7 @@ from interarea.cosim.designs.design_file import DesignTable, judge, load_design
 from interarea.cosim.designs.family import family_plants
 from interarea.cosim.designs.worth import clearing_change, rival_table
 from interarea.design.controllers.controller import Controller
+from interarea.design.linear.linearise import with_input
 from interarea.design.robust.design import (
     _descend,
     _descend_briefly,
@@ -130,9 +131,8 @@ def main() -> None:
             print(f"{what:14s} {rows[-1][0]:8.4f} {time.process_time():6.0f} s", flush=True)
         theta = balanced_parameters(objective, min(rows, key=lambda row: row[0])[1])
         guard = None if table.guard is None else table.guard.guard()
-        rival = Controller(
-            table.name, _with_washout(objective.unpack(theta), spec), table.limit_pu, {}, guard=guard
-        )
+        system = with_input(_with_washout(objective.unpack(theta), spec), guard.follows if guard else None)
+        rival = Controller(table.name, system, table.limit_pu, {}, guard=guard)
         own = [f"{kind}:{signal}" for kind in ("L", "x2") for signal in spec.signals]
         for row in judged(table, rival, ("N", *late, *own)):
             print(row)

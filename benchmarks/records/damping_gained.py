@@ -20,22 +20,24 @@ from threadpoolctl import threadpool_limits
 import interarea as ia
 from interarea.cosim.records.brought import brought
 from interarea.cosim.records.record import RecordError
+from interarea.design.certificates.closed_loop import closed_loop_matrix, swing_poles
+from interarea.design.modes.modes import damping_ratio
 
 CASE, CONTROLLER = "two-area-thesis", "wide_area"
-MODE_HZ, NEAR = 0.62, 0.1  # the inter-area mode without control, and how far from it a difference may be
-WEAK = 0.4  #: damping ratio of the poles that may be the mode with a controller
-#: share of the controller's gain -> frequency of the mode's pole, Hz, followed from 0 in steps of .01
-SHARES = {0.0: 0.623, 0.1: 0.614, 0.3: 0.593, 1.0: 0.494}
+MODE, MODE_HZ, NEAR = "inter-area", 0.62, 0.1  # without control, and how far from it a difference may be
+SHARES = (0.0, 0.1, 0.3, 1.0)  #: of the controller's gain
+
+
+def parts(share: float) -> tuple[control.StateSpace, control.StateSpace]:
+    """Return the linear plant, speeds in rad/s, and the controller with a share of its gain."""
+    return ia.linearise(CASE, speeds="rad/s"), ia.load_controller(CONTROLLER).scaled(share).system
 
 
 @cache
 def loop(share: float) -> control.StateSpace:
-    """Return the linear plant with a share of the controller's gain, speeds in rad/s as outputs."""
-    plant, K = ia.linearise(CASE, speeds="rad/s"), ia.load_controller(CONTROLLER).system
-    seen = np.asarray(plant.C)[[plant.output_labels.index(name) for name in K.input_labels]]
-    B = np.asarray(plant.B)[:, [plant.input_labels.index(name) for name in K.output_labels]]
-    A = np.block([[plant.A + share * B @ K.D @ seen, share * B @ K.C], [K.B @ seen, K.A]])
-    n = K.nstates
+    """Return the plant with a share of the controller's gain, its outputs those of the plant."""
+    plant, K = parts(share)
+    A, n = closed_loop_matrix(plant, K), K.nstates
     return control.ss(
         A, np.zeros((len(A), 1)), np.hstack([plant.C, np.zeros((plant.noutputs, n))]), 0.0,
         states=[*plant.state_labels, *(f"controller.{k}" for k in range(n))], outputs=plant.output_labels,
@@ -43,10 +45,8 @@ def loop(share: float) -> control.StateSpace:
 
 
 def damping(share: float) -> float:
-    """Return the damping ratio of the mode's pole."""
-    poles = [z for z in np.linalg.eigvals(loop(share).A) if z.imag > 0.0 and -z.real < WEAK * abs(z)]
-    pole = min(poles, key=lambda z: abs(z.imag / (2.0 * np.pi) - SHARES[share]))
-    return float(-pole.real / abs(pole))
+    """Return the damping ratio of the mode's pole, followed from the open loop."""
+    return damping_ratio(swing_poles(*parts(share), ia.modes(CASE))[MODE])
 
 
 def row(share: float, pairs: int, minutes: float) -> str:
