@@ -68,10 +68,11 @@ def _outermost_import(frame: FrameType | None) -> FrameType | None:
 
 
 def _watch(importing: FrameType, number: int) -> None:
-    """Interrupt the main thread again if it continues an import that an interrupt should have ended.
+    """Interrupt the main thread again if an import that an interrupt should have ended goes on or succeeds.
 
     A C module that is being loaded turns the interrupt into an ImportError, which the importing module may
-    ignore.
+    ignore. An import that succeeds is seen by a trace of the frame that asked for it: its next event is then
+    no exception. One that goes on is seen after a time.
     """
     import threading
 
@@ -82,6 +83,14 @@ def _watch(importing: FrameType, number: int) -> None:
         if frame is not None:
             _interrupt(number)
 
+    def next_event(_frame: FrameType, event: str, _arg: Any) -> None:
+        sys.settrace(None)
+        if event != "exception":
+            raise KeyboardInterrupt
+
+    if (asking := importing.f_back) is not None:
+        asking.f_trace, asking.f_trace_opcodes = next_event, True
+        sys.settrace(lambda *_: None)  # a frame's own trace needs a global one, which asks for nothing
     later = threading.Timer(_LOST_S, look)
     later.daemon = True
     later.start()

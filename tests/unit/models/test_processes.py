@@ -73,11 +73,12 @@ IMPORTED = """
         "    time.sleep(60)",
         "except BaseException:  # as who can do without a module in C whose loading was interrupted",
         "    print('swallowed', file=__import__('sys').stderr)",
-        "time.sleep(60)",
+        "time.sleep({goes_on_s})",
     ]))
     def run(stops):
         sys.path.insert(0, "{file}".rpartition("/")[0])
         __import__("{file}".rpartition("/")[2])
+        sys.modules["time"].sleep(60)
     app.main = run
     __main__.main()
 """
@@ -137,8 +138,9 @@ def test_an_interrupt_in_a_callback_comes_again(tmp_path: Path) -> None:
     assert main.returncode == 128 + signal.SIGINT and b"Exception ignored" not in said
 
 
-def test_an_interrupt_that_an_import_swallows_comes_again(tmp_path: Path) -> None:
-    main = _started(IMPORTED, tmp_path / "loaded")
+@pytest.mark.parametrize("goes_on_s", [60, 0.01, 0])
+def test_an_interrupt_that_an_import_swallows_comes_again(tmp_path: Path, goes_on_s: float) -> None:
+    main = _started(IMPORTED.replace("{goes_on_s}", str(goes_on_s)), tmp_path / "loaded")
     _, said = main.communicate(timeout=20)
     assert main.returncode == 128 + signal.SIGTERM and said.count(b"swallowed") == 1
 
