@@ -1,22 +1,28 @@
 """The Pacific intertie of the mini-WECC, modulated by the frequencies of its ends (docs/actuators.md).
 
-    python benchmarks/control/intertie.py [--gain PU] [--out FILE.json]
+    python benchmarks/control/intertie.py [--gain PU] [--trip] [--out FILE.json]
 
-One controller: the frequency of bus 24 less that of bus 49, rad/s, as PMUs (P class) report it, through a
-washout of 10 s and a lag of .05 s, times a gain, on the power of the link. Printed: the damping ratios of
-both north-south modes, and of all other modes the one that loses most, from the roots of the loop with exact
-delay and the transfer functions of the PMUs. `--out` writes the controller for `interarea run`.
+The controller is the frequency of the north less that of the south, rad/s, as PMUs (P class) report it,
+through a washout of 10 s and a lag of .05 s, times a gain, on the power of the link. Each end has two PMUs at
+neighbouring buses; a bank has a controller for each pair and uses the first whose signals arrive. Printed:
+the damping ratios of both north-south modes, and of all other modes the one that loses most, from the roots
+of the loop with exact delay and the transfer functions of the PMUs; for each pair, for one end alone (what
+the bank comes to where both PMUs of an end are lost), and for the rival: the frequency at one end of the
+link, not late. `--trip`: what each adds to the link's power after the loss of a unit. `--out` writes the bank for `interarea run`.
 """
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from interarea.cosim.run.artefacts import matrices_of_fmu, plant_fmu
+from interarea.cosim.run.run import run_scenario
+from interarea.design.controllers.bank import ControllerBank
 from interarea.design.controllers.controller import Controller
 from interarea.design.delay.loop_modes import DelayedPath, LoopFunction
 from interarea.design.linear.linearise import bus_frequencies, remove_reference, speeds_in_rad
@@ -27,19 +33,25 @@ from interarea.models.blocks.pmu import pmu_filter
 from interarea.models.case.case import load_case
 
 CASE, ACTUATOR, GAIN = "mini-wecc-dc", "pdci_p_mod", 0.4  #: pu of 3100 MW per rad/s
-BUSES = {"north_dw": 24, "south_dw": 49}
+RATING_MW, LIMIT = 3100.0, 0.1  #: of the link; of the modulation, pu of it
+UNIT = "G7"  #: the largest unit, 3592 MW
+BUSES = {"north_dw": 24, "south_dw": 49, "north2_dw": 23, "south2_dw": 48}
+NORTH, SOUTH = ("north_dw", "north2_dw"), ("south_dw", "south2_dw")
 WASHOUT_S, LAG_S = 10.0, 0.05
 NORTH_SOUTH = ("inter-area 1", "inter-area 2")
-#: condition -> latency of what arrives, s, and the signal that is lost
-CONDITIONS: dict[str, tuple[float, str | None]] = {
-    "at once": (0.0, None),
-    "100 ms late": (0.1, None),
-    "200 ms late": (0.2, None),
-    "north lost": (0.0, "north_dw"),
-    "north lost, south 100 ms late": (0.1, "north_dw"),
-    "south lost": (0.0, "south_dw"),
-    "south lost, north 100 ms late": (0.1, "south_dw"),
+#: which signal is lost -> the signals of the member of the bank that acts, with their signs
+PAIRS: dict[str, dict[str, float]] = {
+    f"{lost} lost" if lost else "all arrive": {north: 1.0, south: -1.0}
+    for lost, north, south in (
+        ("", NORTH[0], SOUTH[0]),
+        ("north", NORTH[1], SOUTH[0]),
+        ("south", NORTH[0], SOUTH[1]),
+        ("one of each end", NORTH[1], SOUTH[1]),
+    )
 }
+#: an end alone -> its signal, and the gain relative to that of the difference: of steps of .1, the one with
+#: the most damping of the slow mode where no other mode loses .5 points; beyond 2 the north gains nothing
+ONE_END = {"south alone": ({"south_dw": -1.0}, 1.4), "north alone": ({"north_dw": 1.0}, 2.0)}
 #: 1/s: every root right of this is listed, and so counted; the north-south modes are
 LEFT = -0.9
 
@@ -69,27 +81,69 @@ def _pairs(linear: LinearMatrices, start: np.ndarray) -> list[tuple[str, float]]
     return list(zip(linear.output_labels, map(float, start), strict=True))
 
 
-def modulation(gain: float) -> LinearMatrices:
-    """Return the controller: states are the slow course of the difference and the output."""
-    difference = np.array([[1.0, -1.0]])
+def modulation(gain: float, signs: Mapping[str, float]) -> LinearMatrices:
+    """Return the controller of the signals with `signs`: states are the slow course and the output."""
+    difference = np.array([list(signs.values())])
     A = np.array([[-1.0 / WASHOUT_S, 0.0], [-gain / LAG_S, -1.0 / LAG_S]])
     B = np.vstack([difference / WASHOUT_S, gain / LAG_S * difference])
-    C, D = np.array([[0.0, 1.0]]), np.zeros((1, 2))
-    return LinearMatrices(A, B, C, D, ["slow", "order"], list(BUSES), [ACTUATOR])
+    C, D = np.array([[0.0, 1.0]]), np.zeros((1, len(signs)))
+    return LinearMatrices(A, B, C, D, ["slow", "order"], list(signs), [ACTUATOR])
+
+
+def bank(gain: float) -> ControllerBank:
+    """Return the bank: the first pair of signals that arrive, one of each end."""
+    members = [
+        Controller("_".join(signal.removesuffix("_dw") for signal in signs), modulation(gain, signs), LIMIT)
+        for signs in PAIRS.values()
+    ]
+    return ControllerBank("intertie", tuple(members), LIMIT)
+
+
+def one_end(gain: float) -> dict[str, Controller]:
+    """Return the modulations by the frequency of one end, where the difference has `gain`."""
+    return {
+        what: Controller(what.replace(" ", "_"), modulation(relative * gain, signs), LIMIT)
+        for what, (signs, relative) in ONE_END.items()
+    }
+
+
+def _cases(gain: float) -> Iterator[tuple[str, LinearMatrices, dict[str, DelayedPath]]]:
+    """Yield name, controller and paths of each row of the table."""
+    measured = pmu_filter("P", 60.0, 60.0)
+    for what, signs in PAIRS.items():
+        for latency_s in (0.0, 0.1, 0.2) if what == "all arrive" else (0.0, 0.1):
+            paths = {signal: DelayedPath(latency_s, measured=measured) for signal in signs}
+            name = what if latency_s == 0.0 else f"{what}, {1e3 * latency_s:g} ms late"
+            yield name, modulation(gain, signs), paths
+    for what, alone in one_end(gain).items():
+        yield what, alone.matrices, {s: DelayedPath(0.0, measured=measured) for s in alone.inputs}
 
 
 def rows(gain: float) -> tuple[dict[str, float], dict[str, Row]]:
     """Return the damping ratios without control, and condition -> what the loop has."""
     grid, modes = plant()
-    function, measured = LoopFunction(grid, modulation(gain)), pmu_filter("P", 60.0, 60.0)
     result = {}
-    for name, (latency_s, lost) in CONDITIONS.items():
-        paths = {s: DelayedPath(latency_s, lost=s == lost, measured=measured) for s in BUSES}
-        swings = function.modes(paths, modes, left=LEFT)
+    for name, controller, paths in _cases(gain):
+        swings = LoopFunction(grid, controller).modes(paths, modes, left=LEFT)
         assert swings.least is not None
         damping = {mode: damping_ratio(root) for mode, root in swings.named.items()}
         result[name] = Row(damping, damping_ratio(swings.least))
     return {mode: damping_ratio(root) for mode, root in modes.items()}, result
+
+
+def common_rise(gain: float) -> Iterator[str]:
+    """Yield the mean power that each modulation orders 4 to 14 s after the trip of `UNIT`, and its largest."""
+    for what, controller in {"difference": bank(gain), **one_end(gain)}.items():
+        channels = {
+            name.removesuffix("_dw"): {"signal": name, "latency_s": 0.1, "pmu": {"bus": BUSES[name]}}
+            for name in controller.inputs
+        }
+        trip = [{"kind": "machine_trip", "machine": UNIT, "start_s": 1.0}]
+        table = {"case": CASE, "stop_s": 16.0, "channels": channels, "event": trip}
+        run = run_scenario(table, controller=controller)
+        t, order = run.trajectory["time_s"], run.trajectory[f"controller.{ACTUATOR}"]
+        mean, most = np.mean(order[(t > 5.0) & (t < 15.0)]), np.max(np.abs(order))
+        yield f"{what:12s} mean {RATING_MW * mean:+6.0f} MW, largest {RATING_MW * most:5.0f} MW"
 
 
 def most_lost(without: dict[str, float], row: Row) -> tuple[str, float]:
@@ -116,16 +170,19 @@ def table(gain: float) -> str:
 
 
 def main() -> None:
-    """Print the table; write the controller where that is asked for."""
+    """Print the table; write the bank where that is asked for."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--gain", type=float, default=GAIN, help="pu of 3100 MW per rad/s")
-    parser.add_argument("--out", type=Path, help="file for the controller")
+    parser.add_argument("--trip", action="store_true", help="also the orders after the loss of a unit")
+    parser.add_argument("--out", type=Path, help="file for the bank")
     options = parser.parse_args()
     if options.out is not None:
-        Controller("intertie", modulation(options.gain), limit_pu=0.1).save(options.out)
+        bank(options.gain).save(options.out)
     print(table(options.gain))
+    for line in common_rise(options.gain) if options.trip else ():
+        print(line)
 
 
 if __name__ == "__main__":
