@@ -6,9 +6,9 @@ The controller is the frequency of the north less that of the south, rad/s, as P
 through a washout of 10 s and a lag of .05 s, times a gain, on the power of the link. Each end has two PMUs at
 neighbouring buses; a bank has a controller for each pair and uses the first whose signals arrive. Printed:
 the damping ratios of both north-south modes, and of all other modes the one that loses most, from the roots
-of the loop with exact delay and the transfer functions of the PMUs; for each pair, for one end alone (what
-the bank comes to where both PMUs of an end are lost), and for the rival: the frequency at one end of the
-link, not late. `--trip`: what each adds to the link's power after the loss of a unit. `--out` writes the bank for `interarea run`.
+of the loop with exact delay and the transfer functions of the PMUs; for each pair, and for the rivals: the
+frequency at one end of the link, not late. `--trip`: what each orders after the loss of a unit. `--out`
+writes the bank for `interarea run`.
 """
 
 from __future__ import annotations
@@ -132,7 +132,7 @@ def rows(gain: float) -> tuple[dict[str, float], dict[str, Row]]:
 
 
 def common_rise(gain: float) -> Iterator[str]:
-    """Yield the mean power that each modulation orders 4 to 14 s after the trip of `UNIT`, and its largest."""
+    """Yield what each modulation orders after the trip of `UNIT`: mean of 4 to 14 s after it, and largest."""
     for what, controller in {"difference": bank(gain), **one_end(gain)}.items():
         channels = {
             name.removesuffix("_dw"): {"signal": name, "latency_s": 0.1, "pmu": {"bus": BUSES[name]}}
