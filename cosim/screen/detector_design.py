@@ -57,7 +57,8 @@ def design_detector(
 ) -> DetectorDesign:
     """Return a detector for outputs of a plant that are frequencies (pu), three of them or more.
 
-    noise_pu : standard deviation of the noise that is added to each frame of the runs.
+    noise_pu : standard deviation of the noise that is added to each frame of the runs. progress : called with
+    the share of the runs that have ended.
 
     Raises
     ------
@@ -73,15 +74,16 @@ def design_detector(
     seen: list[Array] = []
     noisy: list[Array] = []
     kinds = ((seen, _SEEN, _LENGTHS), (noisy, _BETWEEN, _LENGTH_BETWEEN))
-    parts = [(into, scale, lengths) for into, scales, lengths in kinds for scale in scales]
-    for k, (into, scale, lengths) in enumerate(parts):
-        events = list(_events(grid, chosen, lengths))
+    events = {lengths: list(_events(grid, chosen, lengths)) for _, _, lengths in kinds}
+    parts = [(into, scale, events[lengths]) for into, scales, lengths in kinds for scale in scales]
+    every, ended = sum(len(of_part) for _, _, of_part in parts), 0
+    for into, scale, of_part in parts:
         varied = grid if scale == 1.0 else operating_variant(grid, load_scale=scale)
         of_scale = controller_of(controller, varied, cache or default_cache())
-        for number, curves in enumerate(_curves(varied, of_scale, signals, events, interval_s, cache)):
-            if curves is not None:
-                into.append(curves)
-            progress((k + (number + 1) / len(events)) / len(parts))
+        for together in _curves(varied, of_scale, signals, of_part, interval_s, cache):
+            into += [curves for curves in together if curves is not None]
+            ended += len(together)
+            progress(ended / every)
     noisy = [curves + noise_pu * random.standard_normal(curves.shape) for curves in noisy]
     floor = 3.0 * noise_pu * (SAMPLES / FRAMES) ** 0.5
     alone = MARGIN * max(float(shares(c, floor).max()) for c in noisy)
@@ -135,12 +137,16 @@ def _curves(
     events: Sequence[dict[str, Any]],
     interval_s: float,
     cache: Path | None,
-) -> Iterator[Array | None]:
-    """Yield of each event the signals (signals, stamps), without noise; None where synchronism is lost."""
+) -> Iterator[list[Array | None]]:
+    """Yield of each event the signals (signals, stamps), without noise; None where synchronism is lost.
+
+    Those of the events whose runs are stepped together are one list.
+    """
     stamps = np.arange(0.0, _STOP_S, interval_s)
     with FaultRuns(case, cache or default_cache()) as runs:
         for first in range(0, len(events), TOGETHER):
             part = [_RightRun(case.name, controller, event) for event in events[first : first + TOGETHER]]
+            together: list[Array | None] = []
             for outcome, data in runs.judged(part, [None] * len(part)):
                 missing = [s for s in signals if f"plant.{s}" not in data.units]
                 if missing:
@@ -149,7 +155,8 @@ def _curves(
                     )
                 time = np.asarray(data.time_s)
                 curves = [np.interp(stamps, time, data[f"plant.{s}"]) for s in signals]
-                yield np.stack(curves) if outcome.synchronous else None
+                together.append(np.stack(curves) if outcome.synchronous else None)
+            yield together
 
 
 def main(words: Sequence[str] | None = None) -> int:

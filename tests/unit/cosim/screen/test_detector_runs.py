@@ -1,13 +1,24 @@
-"""Which disturbances a detector is designed by."""
+"""Which disturbances a detector is designed by, and how far its runs are."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
+from typing import Any
 
+import numpy as np
 import pytest
 
+from interarea.cosim.designs.fault_runs import TOGETHER, Outcome
 from interarea.cosim.scenario.names import wrong_targets
-from interarea.cosim.screen.detector_design import MOST_BUSES, MOST_MACHINES, _events, _machines
+from interarea.cosim.screen import detector_design
+from interarea.cosim.screen.detector_design import (
+    MOST_BUSES,
+    MOST_MACHINES,
+    _events,
+    _machines,
+    design_detector,
+)
 from interarea.models.case.case import load_case
 from interarea.models.case.events import event_of
 
@@ -33,3 +44,42 @@ def test_machines_that_are_pulsed_are_spread_over_a_large_grid() -> None:
     places = [case.machines.index(m) for m in _machines(case, [])]
     assert len({b - a for a, b in pairwise(places)}) == 1
     assert len(places) > MOST_MACHINES // 2
+
+
+class Ring(dict[str, np.ndarray]):
+    """A run's signals: damped modes, of random sizes and phases, from 2 s on."""
+
+    def __init__(self, random: np.random.Generator) -> None:
+        self.time_s = np.arange(0.0, 10.0, 0.02)
+        t = np.clip(self.time_s - 2.0, 0.0, None)
+        sizes, phases = random.uniform(5e-4, 2e-3, (4, 2)), random.uniform(0.0, 6.3, 2)
+        waves = np.exp(-0.2 * t) * np.sin(np.outer([3.5, 7.0], t) + phases[:, None]) * (t > 0.0)
+        super().__init__({f"plant.G{i + 1}_dw": sizes[i] @ waves for i in range(4)})
+        self.units = dict.fromkeys(self, "pu")
+
+
+def test_the_share_that_is_reported_is_that_of_the_runs_that_have_ended(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Runs that are stepped together end together: the time left follows from the first report on."""
+    ran: list[int] = []
+    random = np.random.default_rng(3)
+
+    class Counted:
+        def __init__(self, *_: Any) -> None: ...
+        def __enter__(self) -> Counted:
+            return self
+
+        def __exit__(self, *_: object) -> None: ...
+        def judged(self, part: Sequence[Any], _: object) -> Iterator[tuple[Outcome, Ring]]:
+            ran.append(len(part))
+            for _run in part:
+                yield Outcome(1.0, None), Ring(random)
+
+    monkeypatch.setattr(detector_design, "FaultRuns", Counted)
+    reported: list[float] = []
+    signals = [f"G{i}_dw" for i in range(1, 5)]
+    design = design_detector("two-area-thesis", "robust", signals, progress=reported.append)
+    assert sum(ran) == design.made_of + design.judged_by == 114
+    assert max(ran) <= TOGETHER
+    assert reported == pytest.approx(np.cumsum(ran) / sum(ran))
