@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import os
 import re
 import struct
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from zig_compiler import lag_dll
 
 from interarea.fmu_build.check.check import CheckError, check_file
 from interarea.fmu_build.open.real_code import REQUIRED
-from interarea.fmu_build.write.cache import COMPILERS_OWN
-from interarea.fmu_build.write.compile import SYSTEM_LIBRARIES
 from interarea.fmu_build.write.real_code import build_dll
 from interarea.models.blocks.channel import channel_block
 
@@ -43,30 +40,11 @@ REPORTED = {
 }
 
 
-def lag(defect: str, folder: Path, cache: Path) -> Path:
-    """Return the lag compiled with this defect."""
-    path = folder / f"{defect.lower()}.so"
-    kept = (cache / COMPILERS_OWN).absolute()
-    folders = {"GLOBAL": SYSTEM_LIBRARIES, "LOCAL": "objects"}
-    environment = {**os.environ} | {f"ZIG_{k}_CACHE_DIR": str(kept / name) for k, name in folders.items()}
-    command = [sys.executable, "-m", "ziglang", "cc", "-shared", "-fPIC", "-w", "-O1"]
-    command += [
-        "-target",
-        "x86_64-linux-gnu.2.17",
-        "-rtlib=none",
-        f"-DDEFECT={defect}",
-        f"-DIS_{defect}",
-        str(SOURCE),
-    ]
-    subprocess.run([*command, "-o", str(path), "-lm"], check=True, env=environment, capture_output=True)
-    return path
-
-
 @pytest.mark.slow  # two seconds each
 @pytest.mark.parametrize("defect", list(REPORTED))
 def test_a_defect_is_found(defect: str, tmp_path: Path, cache: Path) -> None:
     rule, words = REPORTED[defect]
-    report = check_file(lag(defect, tmp_path, cache), timeout_s=5.0 if defect == "HANG" else 60.0)
+    report = check_file(lag_dll(defect, tmp_path, cache), timeout_s=5.0 if defect == "HANG" else 60.0)
     reported = [f for f in report.findings if f.rule == rule]
     assert any(words in f.message for f in reported), report
     assert "\n" not in reported[0].line()
@@ -75,7 +53,7 @@ def test_a_defect_is_found(defect: str, tmp_path: Path, cache: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("defect", ["NONE", "NO_PARAMETERS"])
 def test_a_good_one_is_clean(defect: str, tmp_path: Path, cache: Path) -> None:
-    assert check_file(lag(defect, tmp_path, cache)).verdict == "clean"
+    assert check_file(lag_dll(defect, tmp_path, cache)).verdict == "clean"
 
 
 def test_every_defect_of_the_source_is_tried() -> None:

@@ -45,6 +45,12 @@ def emulator(name: str, folder: Path) -> Emulator:
 
 
 @pytest.fixture(scope="module")
+def wine(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of Wine's files, which take it ten seconds to write."""
+    return tmp_path_factory.mktemp("wine")
+
+
+@pytest.fixture(scope="module")
 def blocks(cache: Path) -> dict[str, Block | Chain]:
     """Return a block of each kind, and a chain."""
     case = load_case("two-area-thesis")
@@ -66,12 +72,12 @@ def blocks(cache: Path) -> dict[str, Block | Chain]:
 @pytest.mark.parametrize("kind", ["controller", "supervisor", "channel", "pmu", "chain"])
 @pytest.mark.parametrize("name", ["win64", "win32"])
 def test_a_windows_dll_has_the_bits_of_the_linux_one(
-    name: str, kind: str, blocks: dict[str, Block | Chain], tmp_path: Path, cache: Path
+    name: str, kind: str, blocks: dict[str, Block | Chain], wine: Path, tmp_path: Path, cache: Path
 ) -> None:
     rows = {}
     channel = CHANNEL if kind == "channel" else [f"remote_{p}" for p in CHANNEL] if kind == "chain" else ()
     for platform in ("linux64", name):
-        tool = emulator(platform, tmp_path)
+        tool = emulator(platform, wine)
         library = build_dll(blocks[kind], tmp_path, platform=platform, sample_time_s=STEP, cache=cache)
         assert all(name.startswith("Model_") for name in read_image(library.read_bytes()).exports)
         host = program(HOST, DLL_PLATFORMS[platform], HEADERS, tmp_path, cache)

@@ -13,20 +13,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 from platforms.test_same_bits import emulator_of
+from zig_compiler import zig_cc
 
 from interarea.cosim.run.system import System
 from interarea.fmu_build.check.check import check_file
 from interarea.fmu_build.open.real_code import ERROR, RealCode, RealCodeLibrary
-from interarea.fmu_build.write.cache import COMPILERS_OWN
-from interarea.fmu_build.write.compile import SYSTEM_LIBRARIES
 from interarea.fmu_build.write.real_code import DLL_PLATFORMS, build_dll
 from interarea.models.blocks.controller import controller_block
 from interarea.models.case.case import load_case
 from interarea.models.devices.library import library
 from interarea.models.devices.rest import rest_of
 
-EMTHUB = Path(os.environ.get("INTERAREA_EMTHUB", "not-there"))
+EMTHUB = Path(os.environ.get("INTERAREA_EMTHUB", "not-there")).absolute()
 DLL = EMTHUB / "dll"
+FLAGS = ["-O1", "-w", f"-I{DLL / 'include'}"]
 pytestmark = [
     pytest.mark.slow,
     pytest.mark.timeout(900),
@@ -35,15 +35,6 @@ pytestmark = [
 ]
 EXAMPLES = {"scrx9/SCRX9.c": 1, "gfm_gfl_ibr/GFM_GFL_IBR.c": 1, "gfm_gfl_ibr2/gfm_gfl_ibr2.c": 1}
 INPUTS = ("VRef", "Ec", "Vs", "IFD", "VT", "VUEL", "VOEL")
-
-
-def compiled(words: list[str], target: str, cache: Path) -> None:
-    """Run zig's C compiler."""
-    kept = (cache / COMPILERS_OWN).absolute()
-    folders = {"GLOBAL": SYSTEM_LIBRARIES, "LOCAL": "objects"}
-    environment = {**os.environ} | {f"ZIG_{k}_CACHE_DIR": str(kept / part) for k, part in folders.items()}
-    command = [sys.executable, "-m", "ziglang", "cc", "-target", target, "-O1", "-w", f"-I{DLL / 'include'}"]
-    subprocess.run([*command, *words], check=True, env=environment, capture_output=True)
 
 
 def example(source: str, folder: Path, cache: Path, step_s: float = 0.005) -> Path:
@@ -57,7 +48,7 @@ def example(source: str, folder: Path, cache: Path, step_s: float = 0.005) -> Pa
     (copy.parent / "windows.h").touch()  # one of them includes it, none needs it
     linux = [f"-I{copy.parent}", "-D__declspec(x)=", "-D__cdecl=", "-Dsprintf_s=snprintf"]
     path = copy.with_suffix(".so")
-    compiled(["-shared", "-fPIC", *linux, str(copy), "-o", str(path), "-lm"], "x86_64-linux-gnu.2.17", cache)
+    zig_cc([*FLAGS, "-shared", "-fPIC", *linux, str(copy), "-o", str(path), "-lm"], cache)
     return path
 
 
@@ -184,8 +175,8 @@ def test_their_test_program_runs_our_dll(name: str, tmp_path: Path, cache: Path)
     emulator = emulator_of("win64", tmp_path)
     sources = [DLL / "scrx9" / "test_scrx9.c", DLL / "wrapper" / "IEEE_Cigre_DLLWrapper.c"]
     program = tmp_path / "test.exe"
-    words = ["-include", "stddef.h", *map(str, sources)]  # which MinGW's windows.h does not bring
-    compiled([*words, "-o", str(program)], DLL_PLATFORMS[name].targets[0], cache)
+    words = [*FLAGS, "-include", "stddef.h", *map(str, sources)]  # which MinGW's windows.h does not bring
+    zig_cc([*words, "-o", str(program)], cache, DLL_PLATFORMS[name].targets[0])
     build_dll(block, tmp_path / "SCRX9.dll", platform=name, sample_time_s=0.005, cache=cache)
     done = subprocess.run(
         [*(command if name == "win32" else emulator.command), "test.exe"],

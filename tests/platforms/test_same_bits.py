@@ -19,13 +19,13 @@ from pathlib import Path
 
 import fmpy
 import pytest
+from zig_compiler import zig_cc
 
 from interarea.cosim.export.container import container_block
 from interarea.cosim.export.instances import members_of
 from interarea.cosim.scenario.scenario import load_scenario
 from interarea.design.controllers.controller import Controller
-from interarea.fmu_build.write.cache import COMPILERS_OWN
-from interarea.fmu_build.write.compile import PLATFORMS, SYSTEM_LIBRARIES, Platform
+from interarea.fmu_build.write.compile import PLATFORMS, Platform
 from interarea.fmu_build.write.package import build_fmu
 from interarea.fmu_build.write.sources import fmi_headers
 
@@ -134,20 +134,13 @@ def program(source: Path, to: Platform, headers: Path, folder: Path, cache: Path
 
     With the flags of FMUs and DLLs: then zig finds the platform's libraries that it made for those.
     """
-    kept = (cache / COMPILERS_OWN).absolute()
-    environment = {
-        **os.environ,
-        "ZIG_GLOBAL_CACHE_DIR": str(kept / SYSTEM_LIBRARIES),
-        "ZIG_LOCAL_CACHE_DIR": str(kept / "objects"),
-    }
-    compiler = [sys.executable, "-m", "ziglang", "cc", "-target", to.targets[0], *FMU_FLAGS]
     compiled, made = (folder / f"{source.stem}-{to.name}.{end}" for end in ("o", "exe"))
     runtime = ["-rtlib=none"] if to.suffix == ".so" else []  # of zig, of which no line is needed
     for words in (
         ["-c", f"-I{headers}", str(source), "-o", str(compiled)],
         ["-Wl,-s", *runtime, str(compiled), "-o", str(made)],
     ):
-        subprocess.run([*compiler, *words], check=True, env=environment, capture_output=True)
+        zig_cc([*FMU_FLAGS, *words], cache, to.targets[0])
     return made
 
 

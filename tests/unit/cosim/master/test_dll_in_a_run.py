@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
+from zig_compiler import lag_dll
 
 import interarea
 from interarea.cosim.errors import GraphError, ScenarioError, StepError
@@ -22,7 +22,6 @@ from interarea.fmu_build.write.real_code import build_dll
 from interarea.models.case.case import load_case
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the DLLs are compiled for Linux")
-LAG = Path(__file__).parents[3] / "conformance" / "blocks" / "lag_dll.c"
 SCENARIO = """
 name = "with-dll"
 case = "two-area-thesis"
@@ -127,11 +126,11 @@ def test_what_is_wrong_with_a_dll_is_one_error(robust: Path, tmp_path: Path, cac
         assert "\n" not in str(refused.value)
     with pytest.raises(FmuFileError, match="no IEEE/CIGRE DLL: it does not have Model_GetInfo"):
         System(stop_s=1.0, cache=cache).fmu(
-            "mine", compiled("NO_INTERFACE", tmp_path, ["-DModel_GetInfo=other"])
+            "mine", lag_dll("NO_INTERFACE", tmp_path, cache, "-DModel_GetInfo=other")
         )
     for defect in ("CRASH_ON_LOAD", "CRASH"):
         with pytest.raises(StepError, match=r"the DLL crashed its process \(SIGABRT\)") as error:
-            System(stop_s=1.0, step_s=0.01, cache=cache).fmu("mine", compiled(defect, tmp_path)).run()
+            System(stop_s=1.0, step_s=0.01, cache=cache).fmu("mine", lag_dll(defect, tmp_path, cache)).run()
         assert "\n" not in str(error.value)
     given = System(stop_s=0.1, step_s=0.01, cache=cache).fmu("mine", robust, start={"G4_vs": 0.01}).run()
     (line,) = given.fmu_log  # what a DLL says with return code 1
@@ -141,13 +140,3 @@ def test_what_is_wrong_with_a_dll_is_one_error(robust: Path, tmp_path: Path, cac
     bad = System(stop_s=1.0, step_s=0.01, cache=cache).fmu("mine", robust, start={"limit": -1.0})
     with pytest.raises(StepError, match="limit was set to -1; allowed are 0 to"):
         bad.run()
-
-
-def compiled(defect: str, folder: Path, more: list[str] | None = None) -> Path:
-    """Return the lag of the check's tests with a defect."""
-    path = folder / f"{defect.lower()}.so"
-    number = "NONE" if more else defect
-    command = [sys.executable, "-m", "ziglang", "cc", "-shared", "-fPIC", "-w", "-O1", *(more or [])]
-    command += ["-target", "x86_64-linux-gnu.2.17", "-rtlib=none", f"-DDEFECT={number}", f"-DIS_{number}"]
-    subprocess.run([*command, str(LAG), "-o", str(path), "-lm"], check=True, capture_output=True)
-    return path
