@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from interarea.design.controllers.bank import ControllerBank
 from interarea.design.controllers.controller import Controller
-from interarea.design.linear.systems import SystemLike, is_system, kind_of
+from interarea.design.linear.systems import SystemLike, is_system
 from interarea.fmu_build.check.check import check_file
 from interarea.fmu_build.finding import Report
 from interarea.fmu_build.open.cross_check import complete_fmu
@@ -62,6 +62,7 @@ def _block(thing: Case | Controller | ControllerBank | SystemLike | str, case: A
         return plant_block(thing)
     if isinstance(thing, Controller | ControllerBank) or is_system(thing):
         return controller_like(thing).block(case_like(case).omega_b)
+    from interarea.models.arguments import kind_of
     from interarea.models.errors import UserError
 
     raise UserError(

@@ -12,7 +12,7 @@ import control
 from interarea.cosim.designs.ranked_loops import ranked_loops
 from interarea.cosim.run.artefacts import growth_at_rest, linear_plant, sparse_linear_plant
 from interarea.design.linear.linearise import remove_reference, speeds_in_rad
-from interarea.design.linear.systems import SystemLike, kind_of, state_space
+from interarea.design.linear.systems import SystemLike, state_space
 from interarea.design.modes.loop_choice import KINDS
 from interarea.design.modes.modes import modes_of
 from interarea.design.reduction.balanced import (
@@ -24,6 +24,7 @@ from interarea.design.reduction.balanced import (
 )
 from interarea.design.reduction.low_rank import low_rank_reduction
 from interarea.fmu_build.write.cache import default_cache
+from interarea.models.arguments import kind_of
 from interarea.models.case.case import Case
 from interarea.models.case.case import load_case as load_case
 from interarea.models.errors import UserError

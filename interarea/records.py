@@ -12,10 +12,11 @@ from interarea.cosim.records.files.read import read_pieces, read_record
 from interarea.cosim.records.fit import Fit, fitted
 from interarea.cosim.records.meter import Meter
 from interarea.cosim.records.meter import meter as metered
-from interarea.cosim.records.record import Record, RecordError
+from interarea.cosim.records.record import Record, RecordError, rated_hz
 from interarea.cosim.records.trend import EVERY_S, Trend, trend
 from interarea.fmu_build.write.cache import default_cache
 from interarea.grids import case_like
+from interarea.models.arguments import checked_types
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from interarea.models.case.case import Case
 
 
+@checked_types
 def meter(
     record: Record | str | Path | pd.DataFrame,
     case: Case | str | Path | None = None,
@@ -50,7 +52,7 @@ def meter(
     UserError : no oscillation, records too short, or the same record twice.
     """
     grid = None if case is None else case_like(case)
-    frequency_hz = 60.0 if grid is None else grid.frequency_hz
+    frequency_hz = rated_hz(grid)
     modes = () if grid is None else modes_in(grid, band_hz)
     one = _record(record, frequency_hz)
     if beside is None:
@@ -59,6 +61,7 @@ def meter(
     return brought(one, other, band_hz=band_hz, quantity=quantity, channels=channels, modes=modes)
 
 
+@checked_types
 def damping_trend(
     record: str | Path | pd.DataFrame,
     case: Case | str | Path | None = None,
@@ -86,9 +89,9 @@ def damping_trend(
         the first reason.
     """
     grid = None if case is None else case_like(case)
-    frequency_hz = 60.0 if grid is None else grid.frequency_hz
+    frequency_hz = rated_hz(grid)
     modes = () if grid is None else modes_in(grid, band_hz)
-    low, high = window_s or (-inf, inf)
+    low, high = (-inf, inf) if window_s is None else window_s
     if not low < high:
         raise RecordError(f"window_s = ({low:g}, {high:g}), allowed: the first below the second")
     pieces = (
@@ -112,6 +115,7 @@ def _record(source: Record | str | Path | pd.DataFrame, frequency_hz: float) -> 
     return source if isinstance(source, Record) else read_record(source, frequency_hz=frequency_hz)
 
 
+@checked_types
 def fit(
     record: Record | str | Path | pd.DataFrame,
     case: Case | str | Path,

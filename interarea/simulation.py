@@ -17,9 +17,10 @@ from interarea.cosim.scenario.scenario import Scenario, load_scenario
 from interarea.cosim.scenario.signal_paths import ChannelTable
 from interarea.design.controllers.bank import ControllerBank
 from interarea.design.controllers.controller import Controller, ControllerError
-from interarea.design.linear.systems import SystemLike, kind_of
+from interarea.design.linear.systems import SystemLike
 from interarea.fmu_build.write.cache import default_cache
 from interarea.grids import case_like
+from interarea.models.arguments import kind_of
 from interarea.models.mistakes import mistakes
 from interarea.progress import Report, notebook_bars, silent, tell_runs
 from interarea.shown import Comparison, SweepResults

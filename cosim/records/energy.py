@@ -23,6 +23,8 @@ import numpy.typing as npt
 from scipy.ndimage import median_filter
 from scipy.signal import butter, sosfiltfilt
 
+from interarea.models.importers.static import USUAL_HZ
+
 from .record import BAND_HZ, Array, Record, RecordError
 
 _SIDE_HZ, _SIDE = 0.15, 0.25  # of the band-pass, at most this share of the frequency
@@ -34,7 +36,6 @@ _STANDS_OUT = 5.0  # of the line over the median of the spectrum around it
 _FLOOR_HZ = 0.8
 _ROTATING = {"speed", "rotor angle"}  # what only a machine has
 _PHASES = 3.0  # of a line whose voltage is from phase to ground
-_RATED_HZ = 60.0  # of a grid whose case is not given
 
 
 @dataclass(frozen=True)
@@ -250,7 +251,7 @@ def terminals_of(
     terminals, notes, by_speed = [], [], []
     for name in record.terminals:
         place = (at or {}).get(name, name)
-        terminal, missing = _terminal(record, name, place, rated_hz or _RATED_HZ)
+        terminal, missing = _terminal(record, name, place, rated_hz or USUAL_HZ)
         if terminal is not None:
             terminals.append(terminal)
             measured = record.terminals.get(place, {}).keys()
@@ -263,7 +264,7 @@ def terminals_of(
             "or P, Q, V and an angle"
         )
     if by_speed and rated_hz is None:
-        notes.append(f"speeds are taken as pu of {_RATED_HZ:g} Hz; a case has the rated frequency")
+        notes.append(f"speeds are taken as pu of {USUAL_HZ:g} Hz; a case has the rated frequency")
     return _of_one_unit(terminals, notes), notes
 
 

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 
 from interarea.fmu_build.open.ports import Description, Port
+from interarea.models.arguments import checked_types
+from interarea.models.importers.static import USUAL_HZ
 
 from .record import Record, RecordError, deviation_hz
 
@@ -35,8 +37,9 @@ class Playback:
     [0.001, 0.002, 0.002, -0.002, 0.001]
     """
 
+    @checked_types
     def __init__(
-        self, name: str, record: Record, channel: str, *, start_s: float, nominal_hz: float = 60.0
+        self, name: str, record: Record, channel: str, *, start_s: float, nominal_hz: float = USUAL_HZ
     ) -> None:
         if not isinstance(record, Record):
             raise RecordError(f"{name}: record is {type(record).__name__}, wanted: that of read_record(...)")

@@ -11,9 +11,12 @@ import numpy as np
 import numpy.typing as npt
 
 from interarea.models.errors import UserError, nearest
+from interarea.models.importers.static import USUAL_HZ
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from interarea.models.case.case import Case
 
 Array = npt.NDArray[np.float64]
 DEVIATION_HZ = 5.0  #: a frequency whose middle is below is a deviation
@@ -156,6 +159,11 @@ class Record:
         for key in ("unit", "quantity", "terminal"):
             frame.attrs[key] = {c.name: getattr(c, key) for c in self.channels}
         return frame
+
+
+def rated_hz(case: Case | None) -> float:
+    """Return the rated frequency of a case, Hz; without one the usual."""
+    return USUAL_HZ if case is None else case.frequency_hz
 
 
 def deviation_hz(frequency: Array, rated_hz: float, what: str) -> Array:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
+from interarea.models.arguments import kind_of
 from interarea.models.errors import UserError
 
 from .matrices import LinearMatrices
@@ -71,18 +72,6 @@ def require_finite(system: control.StateSpace | LinearMatrices, what: str) -> No
     for name in ("A", "B", "C", "D"):
         if not np.all(np.isfinite(getattr(system, name))):
             raise LinearSystemError(f"{what}: {name} has numbers that are not finite")
-
-
-def kind_of(thing: object) -> str:
-    """Return what a thing is, with article, for a message.
-
-    >>> kind_of({"A": 1}), kind_of(None)
-    ('a dict', 'None')
-    """
-    if thing is None:
-        return "None"
-    name = type(thing).__name__
-    return f"{'an' if name[0].lower() in 'aeio' or name == 'ndarray' else 'a'} {name}"
 
 
 def _advice(thing: object) -> str:

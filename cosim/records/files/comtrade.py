@@ -57,6 +57,7 @@ class Comtrade:
     analog: Array
     status: npt.NDArray[np.bool_]
     stamped: bool
+    samples: tuple[int, int]  #: number of the last one in the data, and by the configuration
 
 
 class _Lines:
@@ -138,8 +139,9 @@ def _read(path: Path, text: str, data: bytes) -> Comtrade:
     values = values * np.array([c.a for c in analogs]) + np.array([c.b for c in analogs])
     values = values * np.array([c.ratio for c in analogs])
     time_s, stamped = _times(path, numbers, stamps, rates, factor * _tick_s(start))
+    samples = (int(np.nanmax(numbers, initial=len(values))), int(rates[-1][1]))
     return Comtrade(
-        *(head[0], head[1], start, frequency_hz, analogs, flags, time_s, values, status, stamped),
+        *(head[0], head[1], start, frequency_hz, analogs, flags, time_s, values, status, stamped, samples),
     )
 
 

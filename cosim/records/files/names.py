@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ..record import ANGLES, Channel
@@ -74,6 +75,8 @@ _PSSE = {
 }
 #: units that a word of a name can be, as in ``VA_deg_bus1``; shorter ones are also names
 _UNIT_WORDS = frozenset(unit for unit in _UNITS if len(unit) > 1 and unit not in ("amp", "amps", "var"))
+#: two characters or more without a digit in round brackets at the end of a name
+_ROUND = re.compile(r"\(\s*([^()\s\d]{2,})\s*\)\s*$")
 _PSSE_NAME = re.compile(
     r"\s*(?P<kind>[A-Z]+)\s*(?P<bus>\d+)\s*(?:\[[^\]]*\])?\s*"
     r"(?:TO\s+(?P<to>\d+)\s+CKT\s+'?(?P<circuit>[^' ]+)\s*'?|(?P<id>\S+))?\s*$"
@@ -151,6 +154,17 @@ def psse_channel(name: str, frequency_hz: float) -> Raw | None:
     else:
         terminal = f"{match['bus']} {match['id'] or '1'}"
     return Raw(Channel(text, quantity, unit, terminal), factor, offset)
+
+
+def with_square_brackets(names: Sequence[str]) -> list[str]:
+    """Return the names of columns with units in square brackets, where round ones hold a unit in one of them.
+
+    >>> with_square_brackets(["P (North)"]), with_square_brackets(["VM (kV)", "P (horses)", "IM (1)"])
+    (['P (North)'], ['VM [kV]', 'P [horses]', 'IM (1)'])
+    """
+    if not any(known_unit(match[1]) for name in names if (match := _ROUND.search(name))):
+        return list(names)
+    return [_ROUND.sub(r"[\1]", name) for name in names]
 
 
 def _without_unit(column: str, unit: str) -> tuple[str, str, str]:

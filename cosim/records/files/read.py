@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from interarea.models.arguments import checked_types
 from interarea.models.errors import nearest
+from interarea.models.importers.static import USUAL_HZ
 
 from ..record import ANGLES, DEVIATION_HZ, UNITS, Array, Channel, Record, RecordError
 from .even import even_times, longest_piece, on_axis, resampled
@@ -25,10 +27,14 @@ FILL_S = 0.5  #: longest gap that is interpolated
 PIECE_ROWS = 1 << 14  #: that are read at a time: 20 MB of 150 channels
 _LEAST_HZ, _MOST_HZ = 40.0, 70.0  # of a grid's frequency, well beyond what its machines stand
 _NAMED = 3  # channels that a note names
+#: magnitudes that loggers write where they have no value, and the least that no measured value has
+_CODES = (*(10.0**n - 1.0 for n in range(3, 10)), 999.25, 999.9, 999.99, 9999.9, 9999.99, 32767.0, 32768.0)
+_HUGE = 1e15
 _INVALID = 0xC000  # of STAT: bits 15 and 14, the data are in error (IEEE C37.118.2)
 _UNSYNCHRONISED = 0x2000
 
 
+@checked_types
 def read_record(
     source: str | Path | pd.DataFrame,
     *,
@@ -36,7 +42,7 @@ def read_record(
     rate_hz: float | None = None,
     window_s: tuple[float, float] | None = None,
     fill_s: float = FILL_S,
-    frequency_hz: float = 60.0,
+    frequency_hz: float = USUAL_HZ,
 ) -> Record:
     """Read a record of measurements; see `Record`.
 
@@ -83,7 +89,7 @@ def read_pieces(
     every_s: float,
     *,
     units: Mapping[str, str] | None = None,
-    frequency_hz: float = 60.0,
+    frequency_hz: float = USUAL_HZ,
 ) -> Iterator[Piece]:
     """Yield the parts of a file, `every_s` long, as records; csv and Parquet are never in memory as a whole.
 
@@ -173,10 +179,11 @@ def _record(
     if not kept:
         raise RecordError(f"{name}: no channel is left, {'; '.join(misfits[:_NAMED])}")
     raws = [raws[k] for k in kept]
-    values = table.values[:, kept] * np.array([r.factor for r in raws]) + np.array([r.offset for r in raws])
+    values, coded = _without_codes(table.values[:, kept], raws)
+    values = values * np.array([r.factor for r in raws]) + np.array([r.offset for r in raws])
     values, raws, flagged = _without_flagged(values, raws)
     _check_scales(name, values, raws)
-    flagged += [*_without_dropouts(values, raws), *_without_units(raws)]
+    flagged += [*coded, *_without_dropouts(values, raws), *_without_units(raws)]
     place, step_s, remark = even_times(name, table.stamps)
     piece, cut = longest_piece(name, place, step_s, fill_s)
     values, raws, filled = on_axis(name, place[piece], values[piece], raws, step_s, fill_s)
@@ -258,6 +265,30 @@ def _without_flagged(values: Array, raws: list[Raw]) -> tuple[Array, list[Raw], 
             )
     left = [k for k, r in enumerate(raws) if r.channel.quantity != "status"]
     return values[:, left], [raws[k] for k in left], notes
+
+
+def _without_codes(values: Array, raws: Sequence[Raw]) -> tuple[Array, list[str]]:
+    """Return the values of a file without codes for missing ones, and notes.
+
+    A value of `_CODES`, or from `_HUGE` on, is one if it lies farther from all other values of its channel
+    than these differ, and than half the largest of them.
+    """
+    values, notes = values.copy(), []
+    size = np.abs(values)
+    code = np.isin(size, _CODES) | (size >= _HUGE)
+    for k, raw in enumerate(raws):
+        column = values[:, k]
+        if raw.channel.quantity == "status" or not code[:, k].any():
+            continue
+        there = column[np.isfinite(column) & ~code[:, k]]
+        low, high = (there.min(), there.max()) if there.size else (0.0, 0.0)
+        reach = max(high - low, 0.5 * max(-low, high))
+        wrong = code[:, k] & ~((column >= low - reach) & (column <= high + reach))
+        if wrong.any():
+            codes = ", ".join(f"{value:.6g}" for value in np.unique(column[wrong]))
+            notes.append(f"{raw.channel.name}: {int(wrong.sum())} samples are {codes}: taken as missing")
+            column[wrong] = np.nan
+    return values, notes
 
 
 def _without_dropouts(values: Array, raws: Sequence[Raw]) -> list[str]:

@@ -16,7 +16,15 @@ from interarea.models.documents import not_utf8, require_regular
 from ...trajectory import TIME
 from ..record import Array, Channel, RecordError
 from .comtrade import read_comtrade
-from .names import Raw, ieee_channel, known_unit, other_channel, own_channel, psse_channel
+from .names import (
+    Raw,
+    ieee_channel,
+    known_unit,
+    other_channel,
+    own_channel,
+    psse_channel,
+    with_square_brackets,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -301,7 +309,8 @@ def _named_columns(
     if names[0] == TIME:
         return [own_channel(n, "") or other_channel(n) for n in names[1:]], [_OWN_SAID]
     units = _units_row(extra, len(names))
-    return [other_channel(n, u) for n, u in zip(names[1:], units[1:], strict=True)], []
+    named = zip(with_square_brackets(names[1:]), units[1:], strict=True)
+    return [other_channel(n, u) for n, u in named], []
 
 
 def _units_row(extra: list[list[str]], width: int) -> list[str]:
@@ -355,14 +364,17 @@ def _frame(frame: pd.DataFrame, clock: Clock) -> Table:
     clock.unit_s = _time_unit_s(str(column.name), str(units.get(column.name, "")))
     stamps = clock.seconds(column.reset_index(drop=True))
     raws, columns = [], []
-    for c in frame.columns:
-        if not (pd.api.types.is_numeric_dtype(frame[c]) or pd.api.types.is_bool_dtype(frame[c])):
+    for k, (c, name) in enumerate(
+        zip(frame.columns, with_square_brackets(list(map(str, frame.columns))), strict=True)
+    ):
+        kind = frame.dtypes.iloc[k]
+        if not (pd.api.types.is_numeric_dtype(kind) or pd.api.types.is_bool_dtype(kind)):
             continue
         known = attrs.get("quantity", {}).get(c, ""), attrs.get("terminal", {}).get(c, "")
         unit = units.get(c, "")
-        own = None if any(known) else own_channel(str(c), unit)
-        raws.append(own or other_channel(str(c), unit, *known))
-        columns.append(frame[c].to_numpy(dtype=float))
+        own = None if any(known) else own_channel(name, unit)
+        raws.append(own or other_channel(name, unit, *known))
+        columns.append(frame.iloc[:, k].to_numpy(dtype=float))
     if not columns:
         raise RecordError(f"{clock.source}: no column of numbers beside the time, wanted: measurements")
     return Table(stamps, np.column_stack(columns), raws, [], clock.start)
@@ -377,6 +389,9 @@ def _comtrade(path: Path) -> Table:
     flags = [Raw(Channel(n, "status", "1", "")) for n in data.flags]
     stamps = "its time stamps" if data.stamped else "its sampling rates"
     notes = [f"COMTRADE of {data.station or 'no station'}, time by {stamps}"]
+    last, declared = data.samples
+    if 0 < declared != last:
+        notes.append(f"its last sample is number {last}, by its configuration {declared}")
     if secondary := [c.name for c in data.analogs if c.ratio != 1.0]:
         notes.append(f"secondary values, taken times the ratio of their transformer: {', '.join(secondary)}")
     values = np.hstack([data.analog, data.status])

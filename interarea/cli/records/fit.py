@@ -49,7 +49,7 @@ def fit(
     from interarea.models.case.case import load_case
 
     grid = load_case(case)
-    record = opened(file, window, unit, grid.frequency_hz)
+    record = opened(file, window, unit, grid)
     keys = [key.strip() for key in parameters.split(",")] if parameters else []
     from interarea.records import fit as fitted
 

@@ -47,7 +47,7 @@ def locate(
             "is given, allowed: one of them"
         )
     grid = case_named(case)
-    record = opened(file, window, unit, grid.frequency_hz if grid else 60.0)
+    record = opened(file, window, unit, grid)
     flow, failed = _by_energy(file, record, region, frequency, grid)
     model = None
     if grid is not None:

@@ -75,13 +75,12 @@ def meter(
     """Analyse a record: oscillations, damping by two methods, forced or modal, matching mode of a case."""
     region = band_of(band)
     grid = case_named(case)
-    frequency_hz = grid.frequency_hz if grid else 60.0
     if every is not None:
         looked_at = {"band_hz": region, "quantity": quantity, "channels": channel or ()}
         _trend(file, grid, every, beside, window, unit, looked_at, json_)
         return
-    record = opened(file, window, unit, frequency_hz)
-    other = None if beside is None else opened(beside, None, unit, frequency_hz)
+    record = opened(file, window, unit, grid)
+    other = None if beside is None else opened(beside, None, unit, grid)
     from interarea.records import meter as metered
 
     with busy(f"metering {file.name}"):

@@ -46,12 +46,13 @@ Units = Annotated[
 ]
 
 
-def opened(file: Path, window: str | None, units: list[str] | None, frequency_hz: float = 60.0) -> Record:
+def opened(file: Path, window: str | None, units: list[str] | None, grid: Case | None) -> Record:
     """Return the record of a file; say on stderr what was assumed."""
     from interarea.cosim.records.files.read import read_record
+    from interarea.cosim.records.record import rated_hz
 
     span = window_of(window)
-    record = read_record(file, units=units_of(units), window_s=span, frequency_hz=frequency_hz)
+    record = read_record(file, units=units_of(units), window_s=span, frequency_hz=rated_hz(grid))
     for line in record.notes:
         note(f"{file.name}: {line}")
     return record

@@ -303,10 +303,52 @@ def test_a_frequency_that_no_grid_has_is_a_lost_sample(tmp_path: Path) -> None:
 
 def test_a_magnitude_below_0_is_a_lost_sample(tmp_path: Path) -> None:
     dropped = SWING.copy()
-    dropped[100:104] = -9999.0
+    dropped[100:104] = -99.0
     record = read_record(table_csv(tmp_path / "r.csv", "Time,Bus 7 VM [kV]", TIME, dropped))
     np.testing.assert_allclose(record.values[:, 0], SWING, atol=1e-3)
     assert "Bus 7 VM: 4 samples are below 0: left out" in record.notes
+
+
+@pytest.mark.parametrize(("code", "unit"), [(-9999, "MW"), (9999.99, "Mvar"), (-999, "deg"), (1e20, "kW")])
+def test_a_code_for_a_missing_value_is_no_value(code: float, unit: str, tmp_path: Path) -> None:
+    values = 100.0 * (SWING - 60.0)
+    coded = values.copy()
+    coded[100:104] = code
+    record = read_record(table_csv(tmp_path / "r.csv", f"Time,X [{unit}]", TIME, coded))
+    whole = read_record(table_csv(tmp_path / "whole.csv", f"Time,X [{unit}]", TIME, values))
+    np.testing.assert_allclose(record.values, whole.values, atol=0.06 * np.ptp(whole.values))
+    assert f"X: 4 samples are {code:.6g}: taken as missing" in record.notes
+    power = 999.0 + np.round(200.0 * (SWING - 60.0))
+    assert (power == 999.0).any()
+    assert read_record(table_csv(tmp_path / "p.csv", "Time,P [MW]", TIME, power)).notes == ()
+
+
+def test_round_brackets_hold_units_where_one_of_them_does(tmp_path: Path) -> None:
+    head = "Time,Bus 7 VM (kV),P (horses),Q (L1)"
+    record = read_record(table_csv(tmp_path / "r.csv", head, TIME, SWING, SWING, SWING))
+    assert [c.name for c in record.channels] == ["Bus 7 VM", "Q (L1)"]
+    assert record.notes[0].startswith("P: active power in horses, allowed: MW, pu: left out")
+    frame = pd.DataFrame({"Time": TIME, "Bus 7 VM (kV)": SWING, "P (horses)": SWING})
+    assert [c.name for c in read_record(frame).channels] == ["Bus 7 VM"]
+
+
+def test_every_column_of_a_name_that_occurs_twice_is_read() -> None:
+    frame = pd.DataFrame(np.column_stack([TIME, SWING, 2.0 * SWING]), columns=["Time", "P [MW]", "P [MW]"])
+    record = read_record(frame)
+    assert [c.name for c in record.channels] == ["P", "P (2)"]
+    np.testing.assert_array_equal(record["P (2)"], 2.0 * SWING)
+
+
+@pytest.mark.parametrize("kind", ["ASCII", "FLOAT32"])
+def test_a_comtrade_file_that_ends_early_is_said(kind: str, tmp_path: Path) -> None:
+    path = comtrade(tmp_path, kind)
+    assert not any("last sample" in note for note in read_record(path).notes)
+    data = (tmp_path / "r.dat").read_bytes()
+    rows = data.splitlines(keepends=True) if kind == "ASCII" else [data[: len(data) // 300 * 200]]
+    (tmp_path / "r.dat").write_bytes(b"".join(rows[:200]))
+    record = read_record(path)
+    assert len(record.time_s) == 200
+    assert "its last sample is number 200, by its configuration 300" in record.notes
 
 
 def test_of_a_date_with_points_the_day_comes_first(tmp_path: Path) -> None:
