@@ -54,7 +54,7 @@ from ..results.result import Result
 from ..results.ringdown import Swing, control_limit_pu
 from ..results.run import Run
 from ..scenario.channels import ChannelLine, hold_packets, points_of
-from ..scenario.concentrators import ConcentratorLine
+from ..scenario.concentrators import ConcentratorLine, require_effect
 from ..scenario.scenario import Scenario
 from .artefacts import EVENT_SLOTS
 from .controllers import ControllerLike, controller_block_of, controller_of
@@ -216,9 +216,8 @@ class System:
         ------
         ScenarioError : a key or value that a channel does not take.
         """
-        if line is None:
-            line = self._checked(ChannelLine, keys, f"channels.{name}")
-        return self.line(name, line, f"channels.{name}")
+        where = f"channels.{name}"
+        return self.line(name, line or self._checked(ChannelLine, keys, where), where)
 
     def line(self, name: str, line: Line, where: str) -> System:
         """Add what delays signals."""
@@ -251,16 +250,15 @@ class System:
 
         signals : of each the keys of `PathTable`. keys : of `ConcentratorLine`. ScenarioError : others.
         """
-        if line is None:
-            table = {"signals": tuple(signals), **keys}
-            line = self._checked(ConcentratorLine, table, f"concentrators.{name}")
-        return self.line(name, line, f"concentrators.{name}")
+        where, table = f"concentrators.{name}", {"signals": tuple(signals), **keys}
+        return self.line(name, line or self._checked(ConcentratorLine, table, where), where)
 
     def _checked(self, kind: type[AnyLine], keys: Mapping[str, Any], where: str) -> AnyLine:
         try:
             line = kind.model_validate(keys)
         except ValidationError as error:
             raise ScenarioError(*(f"{where}.{text}" for text in mistakes(error, kind))) from None
+        require_effect({where: line})
         self.rounded += roundings(keys, line, where)
         return line
 

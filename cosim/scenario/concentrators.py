@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
@@ -10,7 +11,8 @@ from interarea.models.blocks.sizes import MOST_SIGNALS
 from interarea.models.table import Table
 
 from ..clock import TICKS_PER_SECOND, Clock, on_tick, seconds
-from .channels import Delays, Probability, Seconds, derived_seed
+from ..errors import ScenarioError
+from .channels import ChannelLine, Delays, Probability, Seconds, derived_seed
 from .signal_faults import SignalFault, check_faults, fault_parameters
 
 if TYPE_CHECKING:  # tables are checked before what runs them, numpy with it, is loaded
@@ -149,3 +151,26 @@ class ConcentratorLine(Table):
 
         numbers = {k: float(v) for k, v in self.parameters("").items() if not isinstance(v, str)}
         return frame_sets(numbers, len(self.signals), start_s, stop_s)
+
+
+def require_effect(lines: Mapping[str, ChannelLine | ConcentratorLine]) -> None:
+    """Require that each key that was given changes something. lines : by their place, for the messages.
+
+    Raises
+    ------
+    ScenarioError : a line for each key without effect.
+    """
+    idle = []
+    for where, line in lines.items():
+        if "hold_s" in line.model_fields_set and line.on_loss != "hold_then_zero":
+            idle.append(
+                f"{where}.hold_s = {line.hold_s:g} has no effect with on_loss = {line.on_loss!r}, "
+                "allowed: with 'hold_then_zero'"
+            )
+        if "seed" in line.model_fields_set and not (line.reporting_interval_s or line.random):
+            idle.append(
+                f"{where}.seed = {line.seed} has no effect without packets, "
+                "allowed: with reporting_interval_s"
+            )
+    if idle:
+        raise ScenarioError(*idle)

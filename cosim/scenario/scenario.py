@@ -104,6 +104,7 @@ from ..clock import event_on_ticks, on_tick, roundings
 from ..errors import ScenarioError
 from ..toml_file import read_toml
 from .channels import Seconds
+from .concentrators import require_effect
 from .detector import DetectorTable
 from .expectation import Expectation
 from .master_table import MasterTable
@@ -386,7 +387,12 @@ def load_scenario(
         table, folder = table_of_ssp(path)
         return _checked(table, str(path), folder, frequency_hz)
     table = read_toml(path, "scenario", ScenarioError)
-    return _checked({"name": path.stem[:64], **table}, str(path), path.parent, frequency_hz)
+    loaded = _checked({"name": path.stem[:64], **table}, str(path), path.parent, frequency_hz)
+    require_effect(
+        {f"{path}: channels.{name}": line for name, line in loaded.channels.items()}
+        | {f"{path}: concentrators.{name}": line for name, line in loaded.concentrators.items()}
+    )
+    return loaded
 
 
 def _frequency_hz(table: Mapping[str, Any], where: str, folder: Path) -> float:

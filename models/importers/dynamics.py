@@ -15,6 +15,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -126,7 +127,7 @@ def replaced(file: DyrFile, leave_out: Collection[str], models: Mapping[str, str
 
 def _as(record: DyrRecord, model: str, report: Report) -> DyrRecord:
     """A record read as that of another model."""
-    count = MACHINES[model][0] if model in MACHINES else None
+    count = len(MACHINES[model][0]) if model in MACHINES else None
     if model in dyr_models():
         count = len(dyr_models()[model][1].fields)
     more = len(record.fields) - count if count is not None else 0
@@ -317,7 +318,8 @@ def _row(
     """What a record is, and the keys it gives."""
     if record.model not in MACHINES:
         return _device(record, own, records, report)
-    count, convert = MACHINES[record.model]
+    names, convert = MACHINES[record.model]
+    count = len(names)
     if record.model == "GENCLS" and len(record.fields) == count + 1:  # a reactance, which the RAW has too
         report.assume("third field of GENCLS ignored: the reactance of the RAW is used", record.where)
         record = dataclasses.replace(record, fields=record.fields[:count])
@@ -327,9 +329,8 @@ def _row(
             f"{record.where}: {record.model} has {len(record.fields)} parameters, allowed: {count} "
             f"({'cut off?' if less else 'is the / of the record missing?'})"
         )
-    position = {str(k + 1): k for k in range(count)}
-    fields = Record(record.model, record.fields, record.where, position)
-    row = convert(record.where, *(fields.number(str(k + 1)) for k in range(count)))
+    fields = Record(record.model, record.fields, record.where, {name: k for k, name in enumerate(names)})
+    row = convert(record.where, {name: fields.number(name) for name in names})
     for transient, subtransient in (("Xd1", "Xd2"), ("Xq1", "Xq2")):
         if 0.0 < row.get(subtransient, 0.0) - row.get(transient, 0.0) <= ROUNDED:
             report.assume(f"{subtransient} above {transient} by rounding: {transient} used", record.where)
@@ -390,56 +391,43 @@ def _unknown(record: DyrRecord, records: Collection[str]) -> str:
     return f"model {model!r} at bus {record.bus} is not supported{advice}"
 
 
-def _saturation(where: str, S10: float, S12: float, **kind: str) -> dict[str, Any]:
-    """The saturation of a record; S(1.0) = 0 means none."""
+def _round_rotor(where: str, p: dict[str, float], **kind: str) -> dict[str, Any]:
+    return _saturated(where, p, kind) | {"model": "round_rotor", "Xq2": p["Xd2"]}
+
+
+def _salient(where: str, p: dict[str, float], **kind: str) -> dict[str, Any]:
+    return _saturated(where, p, kind) | {"model": "round_rotor", "Xq1": p["Xq"], "Xq2": p["Xd2"]}  # no Tq01
+
+
+def _saturated(where: str, p: dict[str, float], kind: dict[str, str]) -> dict[str, Any]:
+    """The fields of a record, its saturation as a table; S(1.0) = 0 means none."""
+    row: dict[str, Any] = dict(p)
+    S10, S12 = row.pop("S10"), row.pop("S12")
     if S10 == 0.0:
-        return {}
+        return row
     if not 0.0 < S10 < S12:
         raise CaseError(
             f"{where}: saturation S(1.0) = {S10:g}, S(1.2) = {S12:g}, allowed: both rising, or S(1.0) = 0"
         )
-    return {"flux_saturation": {"S10": S10, "S12": S12} | kind}
+    return row | {"flux_saturation": {"S10": S10, "S12": S12} | kind}
 
 
-def _genrou(where: str, *p: float) -> dict[str, Any]:
-    return _round_rotor(p) | _saturation(where, *p[12:])
-
-
-def _genroe(where: str, *p: float) -> dict[str, Any]:
-    return _round_rotor(p) | _saturation(where, *p[12:], shape="exponential")
-
-
-def _round_rotor(p: tuple[float, ...]) -> dict[str, Any]:
-    keys = ("Td01", "Td02", "Tq01", "Tq02", "H", "D", "Xd", "Xq", "Xd1", "Xq1", "Xd2", "Xl")
-    return dict(zip(keys, p[:12], strict=True)) | {"Xq2": p[10], "model": "round_rotor"}
-
-
-def _gensal(where: str, *p: float) -> dict[str, Any]:
-    return _salient(p) | _saturation(where, *p[10:], of="transient_emf", axes="d")
-
-
-def _gensae(where: str, *p: float) -> dict[str, Any]:
-    return _salient(p) | _saturation(where, *p[10:], shape="exponential")
-
-
-def _salient(p: tuple[float, ...]) -> dict[str, Any]:
-    keys = ("Td01", "Td02", "Tq02", "H", "D", "Xd", "Xq", "Xd1", "Xd2", "Xl")
-    row: dict[str, Any] = dict(zip(keys, p[:10], strict=True))
-    return row | {"model": "round_rotor", "Xq1": row["Xq"], "Xq2": row["Xd2"]}  # no Tq01
-
-
-def _gencls(where: str, H: float, D: float) -> dict[str, Any]:
+def _gencls(where: str, p: dict[str, float]) -> dict[str, Any]:
+    H = p["H"]
     if H == 0.0:
         return {"model": "infinite_bus"}
     if not H > 0.0:
         raise CaseError(f"{where}: GENCLS with H = {H:g}, allowed: 0 (an infinite bus) or above")
-    return {"model": "classical", "H": H, "D": D}
+    return {"model": "classical", **p}
 
 
-MACHINES: dict[str, tuple[int, Callable[..., dict[str, Any]]]] = {
-    "GENROU": (14, _genrou),
-    "GENROE": (14, _genroe),
-    "GENSAL": (12, _gensal),
-    "GENSAE": (12, _gensae),
-    "GENCLS": (2, _gencls),
+_ROUND_ROTOR = ("Td01", "Td02", "Tq01", "Tq02", "H", "D", "Xd", "Xq", "Xd1", "Xq1", "Xd2", "Xl", "S10", "S12")
+_SALIENT = ("Td01", "Td02", "Tq02", "H", "D", "Xd", "Xq", "Xd1", "Xd2", "Xl", "S10", "S12")
+#: record -> its fields in order, and what makes a machine's row of them
+MACHINES: dict[str, tuple[tuple[str, ...], Callable[..., dict[str, Any]]]] = {
+    "GENROU": (_ROUND_ROTOR, _round_rotor),
+    "GENROE": (_ROUND_ROTOR, partial(_round_rotor, shape="exponential")),
+    "GENSAL": (_SALIENT, partial(_salient, of="transient_emf", axes="d")),
+    "GENSAE": (_SALIENT, partial(_salient, shape="exponential")),
+    "GENCLS": (("H", "D"), _gencls),
 }

@@ -19,7 +19,7 @@ from .raw.record import Record
 from .report import Report
 from .static import StaticLoad
 
-_FIELDS = 14
+_FIELDS = (*(f"a{k}" for k in range(1, 9)), *(f"n{k}" for k in range(1, 7)))
 #: the narrowest first: model -> whether a record of it, (bus or number, identifier), is of a load
 _SCOPES: dict[str, Callable[[StaticLoad, int, str], bool]] = {
     "IEELBL": lambda load, number, identity: (load.home, load.identity) == (number, identity),
@@ -55,14 +55,13 @@ def take_load_records(records: Iterable[DyrRecord], loads: Sequence[StaticLoad],
 
 def _law(record: DyrRecord, report: Report) -> tuple[tuple[float, float, float, float], ...]:
     """Share and exponent of P, and of Q, of as many terms as one of them has."""
-    if len(record.fields) != _FIELDS:
+    if len(record.fields) != len(_FIELDS):
         raise CaseError(
-            f"{record.where}: {record.model} has {len(record.fields)} fields, allowed: {_FIELDS}, a1 to a8 "
-            "and n1 to n6 (is the / of the record missing?)"
+            f"{record.where}: {record.model} has {len(record.fields)} fields, allowed: {len(_FIELDS)}, a1 to "
+            "a8 and n1 to n6 (is the / of the record missing?)"
         )
-    at = {str(k + 1): k for k in range(_FIELDS)}
-    fields = Record(record.model, record.fields, record.where, at)
-    v = [fields.number(str(k + 1)) for k in range(_FIELDS)]
+    fields = Record(record.model, record.fields, record.where, {name: k for k, name in enumerate(_FIELDS)})
+    v = [fields.number(name) for name in _FIELDS]
     if v[6] or v[7]:
         report.assume(f"{record.model}: frequency dependence of loads (a7, a8) ignored", record.where)
     P = _shares(record, "P", v[0:3], v[8:11], report)

@@ -38,14 +38,14 @@ def corrections(raw: RawFile) -> dict[int, Correction]:
     tables: dict[int, Correction] = {}
     for group in raw.groups.get("impedance correction", []):
         head = raw.record("impedance correction", group[0], {"I": 0})
-        words = [*head.words[1:], *(w for line in group[1:] for w in raw.record("", line, {}).words)]
-        step = 3 if raw.version >= 34 else 2
-        values = Record(
-            "impedance correction", tuple(words), head.where, {str(k): k for k in range(len(words))}
-        )
+        words = (*head.words, *(w for line in group[1:] for w in raw.record("", line, {}).words))
+        names = ("T", "Re(F)", "Im(F)") if raw.version >= 34 else ("T", "F")
+        step = len(names)
+        position = {f"{names[k % step]}{k // step + 1}": k + 1 for k in range(len(words) - 1)}
+        values = Record("impedance correction", words, head.where, position)
         points: list[tuple[float, complex]] = []
-        for k in range(0, len(words) - step + 1, step):
-            t, *factor = (values.number(str(k + j), 0.0) for j in range(step))
+        for k in range(1, (len(words) - 1) // step + 1):
+            t, *factor = (values.number(f"{name}{k}", 0.0) for name in names)
             if t == 0.0 and not any(factor):
                 continue
             points.append((t, complex(*factor)))

@@ -104,7 +104,7 @@ IN_DYR = {
     ),
     "a field that is no number": (
         DYR.replace(" 6.5 ", " 6.S ", 1),
-        "/grid.dyr:2: GENROU record: 5 (field 5) = '6.S'",
+        "/grid.dyr:2: GENROU record: H (field 5) = '6.S'",
     ),
     "a machine given twice": (
         DYR + MACHINE,

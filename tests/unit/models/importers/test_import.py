@@ -298,7 +298,7 @@ DYR_REFUSED = [
     ("'EXST1'", "'AC4A'", r"grid\.dyr:4: model 'AC4A' at bus 1 is not supported; did you mean EXAC4"),
     (" 0.0 0.0 /", " 0.0 /", r"grid\.dyr:2: GENROU has 13 parameters, allowed: 14 \(cut off\?\)"),
     (" 0.0 0.0 /", " 0.0 0.0 7.0 /", r"grid\.dyr:2: GENROU has 15 parameters, allowed: 14 \(is the /"),
-    ("1.7 0.3 0.55", "1.7 nan 0.55", r"grid\.dyr:2: GENROU record: 9 .* 'nan', allowed: a finite number"),
+    ("1.7 0.3 0.55", "1.7 nan 0.55", r"grid\.dyr:2: GENROU record: Xd1 .* 'nan', allowed: a finite number"),
     ("'IEEEST' 1 1 0", "'IEEEST' 1 9 0", r"grid\.dyr:5: IEEEST ICS = 9, allowed: 0 to 6"),
     (
         "'IEEEST' 1 1 0",

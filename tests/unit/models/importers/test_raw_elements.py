@@ -139,6 +139,15 @@ def test_correction_tables_are_linear_and_held_at_the_ends(tmp_path: Path, versi
     assert [two.factor(1.0, a) for a in (-40.0, 0.0, 15.0)] == pytest.approx([0.5, 1.0, 1.5])
 
 
+@pytest.mark.parametrize(("version", "field"), [(33, r"F2 \(field 5\)"), (34, r"Re\(F\)2 \(field 6\)")])
+def test_a_word_in_a_correction_table_is_named(tmp_path: Path, version: int, field: str) -> None:
+    rows = [TABLES[version][0].replace(" 1.0, 1.0", " 1.0, one"), TABLES[version][1]]
+    path = tmp_path / "grid.raw"
+    path.write_text(raw_grid(version, extra={"impedance correction": rows}))
+    with pytest.raises(CaseError, match=rf"impedance correction record: {field} = 'one'"):
+        corrections(read_raw(path))
+
+
 def test_a_long_table_of_version_34_goes_over_several_lines(tmp_path: Path) -> None:
     points = [(0.80 + 0.05 * k, 1.0 + 0.1 * k) for k in range(8)]
     triples = [f"{t:.2f},{f:.1f},0.0" for t, f in points] + ["0,0,0"] * 4
