@@ -207,7 +207,8 @@ def certify_wrong_signals(
 ) -> WrongCertificate:
     """Return the effect of each kind of wrong signal on a loop.
 
-    A run that has not settled by `STOP_S`, and kept synchronism until then, is judged at `LONG_S`.
+    A run that has not settled by `STOP_S`, and kept synchronism until then, is judged at `LONG_S`. A run in
+    which the detector trusts every signal to its end is also the one without a detector.
 
     place : of the fault, and of the trip. detector : table of a scenario; default: its tests that need no
     design. compared : signals of the detector's file. kinds, disturbances : names of those to run; default
@@ -227,27 +228,67 @@ def certify_wrong_signals(
     rows: list[WrongRow] = []
     for number, (point, grid) in enumerate(grids.items()):
         events = disturbances_of(grid, place)
-        jobs = list(_jobs(case, controller, signals, table, chosen, events, disturbances))
+        asked = (case, controller, signals, chosen, events, disturbances)
+        with_it, without = (list(_jobs(*asked, t)) for t in (table, None))
+        ended = 0
+
+        def count_ended(count: int, before: int = number, every: int = len(with_it) + len(without)) -> None:
+            nonlocal ended
+            ended += count
+            progress((before + ended / every) / len(grids))
+
         with FaultRuns(grid, cache) as runs:
-            alone = {
+            none = {
                 d: WrongRun(case.name, None, {}, events[d], stop_s=LONG_S)
-                for d in dict.fromkeys(j[0][1] for j in jobs)
+                for d in dict.fromkeys(j[0][1] for j in with_it)
             }
-            bare = dict(zip(alone, runs.outcomes(list(alone.values()), [None] * len(alone)), strict=True))
-            # lanes step together runs of the same structure
-            for first in range(0, len(jobs), TOGETHER):
-                part = jobs[first : first + TOGETHER]
-                ended: dict[int, WrongRow] = {}
-                for k, run, outcome, data in _to_the_end(runs, [run for _, run in part]):
-                    kind, d, signal = part[k][0]
-                    names = (kind, signal, d, point)
-                    ended[k] = _row(names, run, outcome, data, bare[d])
-                rows += [ended[k] for k in range(len(part))]
-                progress((number + (first + len(part)) / len(jobs)) / len(grids))
+            bare = dict(zip(none, runs.outcomes(list(none.values()), [None] * len(none)), strict=True))
+            watched = _rows(runs, with_it, point, bare, count_ended)
+            same = [_as_without(row, signals, chosen) for row in watched]
+            count_ended(sum(same))
+            again = [job for job, known in zip(without, same, strict=True) if not known]
+            fresh = iter(_rows(runs, again, point, bare, count_ended))
+            rows += [
+                replace(row, detector=False) if known else next(fresh)
+                for row, known in zip(watched, same, strict=True)
+            ]
+            rows += watched
     out = tuple(_with_signal_out(grids, controller, signals, cache))
     return WrongCertificate(
         controller.name, case.name, signals.latency_s_of, tuple(signals.witnesses), table, tuple(rows), out
     )
+
+
+def _as_without(row: WrongRow, signals: Signals, kinds: Mapping[str, Mapping[str, Any]]) -> bool:
+    """Return whether a run with a detector is also the one without: all signals stayed trusted.
+
+    The packets of witnesses only add communication steps (two areas: 1e-11 pu after 20 s); but swapped
+    signals arrive when the latest of their concentrator does, which may be a witness.
+    """
+    if row.detected_s is not None or row.others or row.stopped_s is not None:
+        return False
+    swapped = row.kind != RIGHT and kinds[row.kind]["kind"] == SWAP
+    return not swapped or max(signals.latency_s_of.values()) >= max(signals.all.values())
+
+
+def _rows(
+    runs: FaultRuns,
+    jobs: Sequence[tuple[tuple[str, str, str], WrongRun]],
+    point: str,
+    bare: Mapping[str, Outcome],
+    ended: Callable[[int], object],
+) -> list[WrongRow]:
+    """Return the row of each run; ended : called with the number of runs that have ended since the last."""
+    rows: list[WrongRow] = []
+    for first in range(0, len(jobs), TOGETHER):  # lanes step together runs of the same structure
+        part = jobs[first : first + TOGETHER]
+        of_part: dict[int, WrongRow] = {}
+        for k, run, outcome, data in _to_the_end(runs, [run for _, run in part]):
+            kind, d, signal = part[k][0]
+            of_part[k] = _row((kind, signal, d, point), run, outcome, data, bare[d])
+        rows += [of_part[k] for k in range(len(part))]
+        ended(len(part))
+    return rows
 
 
 def _to_the_end(
@@ -269,26 +310,25 @@ def _jobs(
     case: Case,
     controller: Judged,
     signals: Signals,
-    detector: Mapping[str, Any],
     kinds: Mapping[str, Mapping[str, Any]],
     events: Mapping[str, Sequence[Mapping[str, Any]]],
     disturbances: Sequence[str] | None,
+    detector: Mapping[str, Any] | None,
 ) -> Iterator[tuple[tuple[str, str, str], WrongRun]]:
     """Yield (kind, disturbance, signal) and run, those of the same structure in a row."""
     chosen = [d for d in events if disturbances is None or d in disturbances]
-    for table in (None, detector):
-        latency_s_of = signals.latency_s_of if table is None else signals.all
-        for d in chosen:
-            yield (RIGHT, d, ""), WrongRun(case.name, controller, latency_s_of, events[d], None, table)
-        for kind, signal, d in product(kinds, signals.latency_s_of, chosen):
-            wrong = dict(kinds[kind])
-            if wrong["kind"] == SWAP:
-                order = list(signals.latency_s_of)
-                if len(order) < 2:
-                    continue  # the controller sees no other
-                wrong["other"] = order[(order.index(signal) + 1) % len(order)]
-            run = WrongRun(case.name, controller, latency_s_of, events[d], (signal, wrong), table)
-            yield (kind, d, signal), run
+    latency_s_of = signals.latency_s_of if detector is None else signals.all
+    for d in chosen:
+        yield (RIGHT, d, ""), WrongRun(case.name, controller, latency_s_of, events[d], None, detector)
+    for kind, signal, d in product(kinds, signals.latency_s_of, chosen):
+        wrong = dict(kinds[kind])
+        if wrong["kind"] == SWAP:
+            order = list(signals.latency_s_of)
+            if len(order) < 2:
+                continue  # the controller sees no other
+            wrong["other"] = order[(order.index(signal) + 1) % len(order)]
+        run = WrongRun(case.name, controller, latency_s_of, events[d], (signal, wrong), detector)
+        yield (kind, d, signal), run
 
 
 def _row(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,15 +14,18 @@ import pytest
 from interarea.cli.certificates.wrong_signals import check_wrong_options
 from interarea.cosim.designs.design_file import load_design
 from interarea.cosim.designs.design_tables import FaultPlace
+from interarea.cosim.designs.fault_runs import FaultRuns
 from interarea.cosim.errors import ScenarioError
 from interarea.cosim.results.verdict import GROWING, LOST, SETTLED, STANDING
 from interarea.cosim.scenario.scenario import load_scenario
 from interarea.cosim.scenario.signal_faults import SWAP, wrong_kinds
-from interarea.cosim.screen.wrong_runs import WrongRun, disturbances_of, fault_place, signals_of
+from interarea.cosim.screen import wrong_signals
+from interarea.cosim.screen.wrong_runs import Signals, WrongRun, disturbances_of, fault_place, signals_of
 from interarea.cosim.screen.wrong_signals import (
     RIGHT,
     WrongCertificate,
     WrongRow,
+    _as_without,
     certify_wrong_signals,
     points_of,
 )
@@ -122,6 +126,51 @@ def test_a_stuck_signal_is_named_when_the_detector_says_so() -> None:
     # printed in docs/controllers.md: .245 and .296 with the remote signal lost; the grid alone has .077
     assert (round(with_g2_out.worst_swing, 3), round(with_g2_out.inter_area, 3)) == (0.245, 0.296)
     assert with_g4_out.inter_area < 0.1
+
+
+@pytest.mark.slow
+def test_a_run_whose_signals_stay_trusted_is_not_run_again_without_a_detector(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The same rows as when every run without a detector is run too, but for the steps of the witnesses."""
+    robust = load_controller("robust")
+    asked = {
+        "kinds": ("stuck", "stamp 0.3 s wrong", "swapped with another"),
+        "disturbances": ("rest", "pulse"),
+    }
+    runs: list[WrongRun] = []
+    to_the_end = wrong_signals._to_the_end
+
+    def counted(of: FaultRuns, part: Sequence[WrongRun]) -> Any:
+        runs.extend(part)
+        return to_the_end(of, part)
+
+    monkeypatch.setattr(wrong_signals, "_to_the_end", counted)
+    short = certified(robust, **asked)
+    changed = sum(r.detected_s is not None or r.stopped_s is not None for r in short.rows)
+    # two with nothing wrong, 12 wrong: with a detector each, without one those that it changed
+    assert len(runs) == 14 + changed
+    assert 0 < changed < 7
+    runs.clear()
+    monkeypatch.setattr(wrong_signals, "_as_without", lambda *_: False)
+    each = certified(robust, **asked).rows
+    assert len(runs) == len(each) == 28
+    assert [replace(r, left_pu=0.0) for r in each] == [replace(r, left_pu=0.0) for r in short.rows]
+    assert [r.left_pu for r in each] == pytest.approx([r.left_pu for r in short.rows], rel=1e-3, abs=1e-12)
+
+
+def test_swapped_signals_with_a_late_witness_are_run_without_a_detector_too() -> None:
+    kinds = wrong_kinds(60.0, 0.55)
+    swapped = next(kind for kind, table in kinds.items() if table["kind"] == SWAP)
+    trusted = replace(ROW, detected_s=None)
+    late, early = Signals({"G4_dw": 0.0}, {"G1_dw": 0.05}), Signals({"G4_dw": 0.1}, {"G1_dw": 0.05})
+    of_kind = {
+        kind: [_as_without(replace(trusted, kind=kind), s, kinds) for s in (late, early)] for kind in kinds
+    }
+    assert of_kind.pop(swapped) == [False, True]
+    assert set(map(tuple, of_kind.values())) == {(True, True)}
+    assert not _as_without(replace(trusted, stopped_s=16.0), early, kinds)
+    assert not _as_without(replace(trusted, others=("G1_dw",)), early, kinds)
 
 
 def test_twelve_kinds_are_run_and_each_is_a_scenario() -> None:
