@@ -19,7 +19,7 @@ from typing import Any
 
 from . import polynomials as ip
 from .clock import TICKS_PER_SECOND, Step
-from .errors import StepError
+from .errors import NoSolutionError, StepError
 
 _LAST_SUCCESSFUL_TIME, _TERMINATED = 2, 3
 _MOST_RETURNS, _SHORTEST = 10_000, 2.0**-20
@@ -46,7 +46,8 @@ def go_on(fmu: Any, order: int, time_s: float, length_s: float) -> None:
 
     Raises
     ------
-    StepError : it wants to end, tells no or an impossible time, or gets nowhere with the shortest step.
+    NoSolutionError : it gets nowhere with the shortest step, or cannot be continued. StepError : it wants to
+        end, or tells no or an impossible time.
     """
     end, now, part = time_s + length_s, time_s, length_s
     provided = [(fmu.u[i], *(fmu.du[3 * i : 3 * i + 3] if order else (0.0,) * 3)) for i in _inputs(fmu)]
@@ -73,7 +74,7 @@ def go_on(fmu: Any, order: int, time_s: float, length_s: float) -> None:
             fmu.u[i] = d[0]
             if order:
                 fmu.du[3 * i : 3 * i + 3] = list(d[1:])
-    raise StepError(
+    raise NoSolutionError(
         f"returns discard repeatedly and stays at t = {now:.9g} s",
         instance=fmu.name,
         call="fmi2DoStep",
@@ -97,7 +98,7 @@ def _offered(
         _continue_inputs(fmu, provided, order, now - start_s)
         return bool(fmu.try_step(now, part))
     except StepError as refused:
-        raise StepError(
+        raise NoSolutionError(
             f"returned discard, and {refused.call} fails when it is to continue from t = {now:.9g} s",
             instance=fmu.name,
             call="fmi2DoStep",

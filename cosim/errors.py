@@ -65,6 +65,10 @@ class StepError(InterareaError, RuntimeError):
         return _restored, (type(self), self.args, self.__dict__)
 
 
+class NoSolutionError(StepError):
+    """An FMU discards a step and neither does nor continues it in parts: it has no solution there."""
+
+
 def _restored(kind: type[StepError], arguments: tuple[object, ...], fields: dict[str, object]) -> StepError:
     error = kind.__new__(kind, *arguments)
     error.__dict__.update(fields)

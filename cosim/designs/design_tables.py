@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Collection, Mapping, Sequence
 from itertools import combinations, pairwise
 from typing import Annotated
 
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
-from interarea.design.delay.signal_conditions import Condition, condition_of_many
+from interarea.design.delay.signal_conditions import ONE_WRONG, Condition, condition_of_many
 from interarea.design.robust.smoothed_objective import BandOffsets
 from interarea.design.robust.stages import Stage
 from interarea.models.blocks.controller import Guard
@@ -17,7 +16,6 @@ from interarea.models.case.case import Case
 from interarea.models.table import Table
 
 Positive = Annotated[float, Field(gt=0.0)]
-_WRONG = re.compile(r"x-?\d+(?:\.\d+)?|s\d+")
 
 
 def _rising(nodes: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
@@ -314,7 +312,7 @@ class AcceptanceTable(Table):
 
 def wrong_condition(code: str, signal: str) -> Condition:
     """Return the condition of one wrong signal; ValueError for another code, or a correct one."""
-    if not _WRONG.fullmatch(code):
+    if not ONE_WRONG.fullmatch(code):
         raise ValueError(f"wrong has {code!r}, allowed: x<factor> such as x-1 or s<ms> such as s300")
     if float(code[1:]) == (1.0 if code[0] == "x" else 0.0):
         raise ValueError(f"wrong has {code!r}, which leaves a signal as it is; omit it")

@@ -235,8 +235,7 @@ def _screened(
 ) -> Screened:
     key = _key(row, screening)
     if row["status"] != "ok":
-        collapsed = row["failure"] == "fmu" and "no voltage solution" in str(row["reason"])
-        verdict: Literal["lost", "failed"] = "lost" if collapsed else "failed"
+        verdict: Literal["lost", "failed"] = "lost" if row["failure"] == "no solution" else "failed"
         return Screened(*key, verdict, None, None, "", None, None, str(row["reason"]), critical.get(key))
     return Screened(
         *key,

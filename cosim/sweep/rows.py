@@ -21,8 +21,9 @@ from .plan import SweepPlan
 from .spec import Sweep
 from .values import Value
 
-#: kinds of failure: a value that makes no scenario, an FMU's error, NaN, computing too long, a worker lost
-FAILURES = ("invalid", "fmu", "not finite", "time limit", "worker died", "internal")
+#: kinds of failure: a value that makes no scenario, an FMU's error, an FMU whose equations have no solution
+#: (voltages that collapse), NaN, computing too long, a worker lost
+FAILURES = ("invalid", "fmu", "no solution", "not finite", "time limit", "worker died", "internal")
 PACKETS = {
     "packets_sent": "sent",
     "packets_delivered": "delivered",

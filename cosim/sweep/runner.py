@@ -16,7 +16,7 @@ from interarea.models.case.events import slot_count
 from interarea.models.errors import InterareaError
 
 from ..clock import seconds
-from ..errors import StepError, machine_error
+from ..errors import NoSolutionError, StepError, machine_error
 from ..master.isolated import participant_of
 from ..master.lockstep import advance_together
 from ..results.metrics import SYNCHRONISM
@@ -294,6 +294,8 @@ class Runner:
             raise machine
         if isinstance(error, TimeUpError):
             return self._failed(run, "time limit", error)
+        if isinstance(error, NoSolutionError):
+            return self._failed(run, "no solution", error)
         if isinstance(error, StepError):
             kind = "not finite" if any(f" is {v}" in str(error) for v in ("nan", "inf", "-inf")) else "fmu"
             return self._failed(run, kind, error)

@@ -11,7 +11,9 @@ from typing import TypeVar
 T = TypeVar("T")
 _LATE = re.compile(r"(n?s)([0-9]+)(?::(.+))?")
 _LATE_ALL = re.compile(r"s[0-9]+")
-_SCALE = re.compile(r"x(-?\d+(?:\.\d+)?):(.+)")
+_FACTOR = r"x(-?\d+(?:\.\d+)?)"
+_SCALE = re.compile(rf"{_FACTOR}:(.+)")
+ONE_WRONG = re.compile(rf"{_FACTOR}|{_LATE_ALL.pattern}")  #: of one signal, without its name
 LONGEST_MS = 10_000  #: of a latency in a code: that of `interarea loops --latency`
 
 

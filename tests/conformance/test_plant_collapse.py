@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from plant_lanes import PlantLanes
 
-from interarea.cosim.errors import StepError
+from interarea.cosim.errors import NoSolutionError
 from interarea.cosim.master.instances import FmuParticipant
 from interarea.cosim.run.artefacts import plant_fmu
 from interarea.fmu_build.open.fmu_file import FmuFile
@@ -35,7 +35,7 @@ def test_the_step_is_discarded_with_the_bus_and_the_last_good_time(case, start, 
     plant.begin(0.0, 10.0)
     plant.ready()
     steps = 0
-    with pytest.raises(StepError, match=r"no voltage solution at bus [79] with a load") as stopped:
+    with pytest.raises(NoSolutionError, match=r"no voltage solution at bus [79] with a load") as stopped:
         for k in range(300):
             plant.advance(k * STEP_S, STEP_S)
             plant.receive(slopes=False)
