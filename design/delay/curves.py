@@ -7,6 +7,7 @@ are in `delay_roots` and `delay_crossing`, and offered from here as well.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from functools import cache
 from math import factorial, isfinite
 
 import control
@@ -80,12 +81,20 @@ def pade(latency_s: float, order: int) -> control.StateSpace:
         raise ValueError(f"order = {order!r} of the Padé model: must be a whole number from 1 to 12")
     if latency == 0.0:
         return control.ss([], [], [], 1.0, inputs=["u"], outputs=["y"])
-    n = int(order)
+    A, B, C, D = _pade_of_one_second(int(order))
+    root = np.sqrt(latency)
+    states = [f"p{k + 1}" for k in range(len(A))]
+    return control.ss(A / latency, B / root, C / root, D, states=states, inputs=["u"], outputs=["y"])
+
+
+@cache
+def _pade_of_one_second(n: int) -> tuple[Matrix, Matrix, Matrix, Matrix]:
+    """Balanced matrices of the model in z = s tau."""
     c = [
         factorial(2 * n - k) * factorial(n) / (factorial(2 * n) * factorial(k) * factorial(n - k))
         for k in range(n + 1)
     ]
-    # in z = s tau: companion form of the monic denominator, then balanced
+    # companion form of the monic denominator
     den = np.array(c) / c[n]
     num = den * (-1.0) ** np.arange(n + 1)
     A = np.diag(np.ones(n - 1), 1)
@@ -95,9 +104,7 @@ def pade(latency_s: float, order: int) -> control.StateSpace:
     D = num[n]
     C = (num[:n] - D * den[:n])[None, :]
     b = balance(A, B, C, np.array([[D]]))
-    root = np.sqrt(latency)
-    states = [f"p{k + 1}" for k in range(b.rank)]
-    return control.ss(b.A / latency, b.B / root, b.C / root, b.D, states=states, inputs=["u"], outputs=["y"])
+    return b.A, b.B, b.C, b.D
 
 
 def checked_latency(latency_s: float, signal: str) -> float:

@@ -13,6 +13,7 @@ band; Newton's method on :math:`T(s) v = (s - A - B M(s) C) v = 0` then makes ea
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cached_property
 from typing import Any
 
 import control
@@ -71,7 +72,29 @@ class LatePlant:
         self._B = input_columns(plant, list(controller.output_labels))
         self._C = omega_b * output_rows(plant, {name: {name: 1.0} for name in signals})
         self._K = matrices(controller)
-        self._M = _with_pade(self._K, self.latency_s, 2.0 * np.pi * high_hz)
+        self._sections = np.ceil(2.0 * np.pi * high_hz * self.latency_s / _TURNS)
+        if not self._sections.sum() <= _SECTIONS:
+            raise ModeError(
+                f"signals {self.latency_s.max():g} s late and modes up to {high_hz:g} Hz: too many phase "
+                "turns for the search; reduce the band or the latency"
+            )
+
+    @cached_property
+    def _M(self) -> tuple[Matrix, Matrix, Matrix, Matrix]:
+        """The controller behind Padé models in a row, as many as each latency needs."""
+        A, B, C, D = self._K
+        for k, (latency, sections) in enumerate(zip(self.latency_s, self._sections.astype(int), strict=True)):
+            for _ in range(sections):
+                a, b, c, d = matrices(pade(latency / sections, _ORDER))
+                n, p = len(A), len(a)
+                unit = np.zeros((1, B.shape[1]))
+                unit[0, k] = 1.0
+                # the section's output takes the signal's place, its input is the signal
+                A = np.block([[A, B[:, k : k + 1] @ c], [np.zeros((p, n)), a]])
+                C = np.hstack([C, D[:, k : k + 1] @ c])
+                B = np.vstack([np.where(unit > 0.0, B * d, B), b @ unit])
+                D = np.where(unit > 0.0, D * d, D)
+        return A, B, C, D
 
     @property
     def nstates(self) -> int:
@@ -189,28 +212,3 @@ class ShiftedLoop:
         v = self._back @ (self._gain.T @ (self._loop._B.T @ free) + B.T @ inner)
         y = free + self._seen @ v
         return np.concatenate([y, inner + self._inner.T @ (C.T @ (self._loop._B.T @ y))])
-
-
-def _with_pade(
-    K: tuple[Matrix, Matrix, Matrix, Matrix], latency_s: Matrix, highest: float
-) -> tuple[Matrix, Matrix, Matrix, Matrix]:
-    """The controller behind Padé models in a row, as many as each latency needs."""
-    A, B, C, D = K
-    each = np.ceil(highest * latency_s / _TURNS)
-    if not each.sum() <= _SECTIONS:
-        raise ModeError(
-            f"signals {latency_s.max():g} s late and modes up to {highest / (2.0 * np.pi):g} Hz: too "
-            "many phase turns for the search; reduce the band or the latency"
-        )
-    for k, (latency, sections) in enumerate(zip(latency_s, each.astype(int), strict=True)):
-        for _ in range(sections):
-            a, b, c, d = matrices(pade(latency / sections, _ORDER))
-            n, p = len(A), len(a)
-            unit = np.zeros((1, B.shape[1]))
-            unit[0, k] = 1.0
-            # the section's output takes the signal's place, its input is the signal
-            A = np.block([[A, B[:, k : k + 1] @ c], [np.zeros((p, n)), a]])
-            C = np.hstack([C, D[:, k : k + 1] @ c])
-            B = np.vstack([np.where(unit > 0.0, B * d, B), b @ unit])
-            D = np.where(unit > 0.0, D * d, D)
-    return A, B, C, D
