@@ -1,10 +1,13 @@
 """What a detector of wrong signals makes of right ones (docs/wrong_signals.md): disturbances, ambient noise.
 
-python benchmarks/control/wrong_signals.py --design FILE [CONTROLLER ...]
+python benchmarks/control/wrong_signals.py --design FILE [--most RUNS] [CONTROLLER ...]
 python benchmarks/control/wrong_signals.py --design FILE --ambient-hours 24 [CONTROLLER]
 
-FILE: of `design_detector`, for the speeds of the four machines of two areas; made where it is not there yet.
-Disturbances: packets every 20 ms, the remote signal 100 ms late, the witnesses 50 ms; none must alarm.
+FILE: of `design_detector`, made for the first controller where it is not there yet; for ambient noise one for
+the four machines of two areas.
+Disturbances: packets every 20 ms, remote signals 100 ms late, witnesses 50 ms; none must alarm. Faults at
+buses without machines, pulses and steps of machines, steps of the largest loads, trips of the controller's
+design; on a grid with a tie at three flows of it, else at three loads. None of these points is in a design.
 Ambient noise: the linear loop, driven by independent random torques at each machine that give 3 mHz rms
 between G2 and G4, and 1 mHz of each PMU, in many records side by side; every test that compares signals.
 What wrong signals do: `interarea certify NAME --wrong-signals`.
@@ -12,7 +15,7 @@ What wrong signals do: `interarea certify NAME --wrong-signals`.
 
 import argparse
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,61 +24,93 @@ import numpy as np
 from scipy.linalg import expm
 
 import interarea as ia
+from interarea.cosim.designs.fault_runs import FaultRuns
 from interarea.cosim.run.artefacts import plant_for_controllers
-from interarea.cosim.screen.detector_design import design_detector
+from interarea.cosim.screen.detector_design import MOST_BUSES, design_detector
+from interarea.cosim.screen.wrong_runs import WrongRun, signals_of
 from interarea.design.controllers.detector_record import FRAMES, load_detector, scores
 from interarea.fmu_build.write.cache import default_cache
+from interarea.models import detector_defaults as default
+from interarea.models.case.case import Case
+from interarea.models.case.variants import operating_variant
+from interarea.models.detector_defaults import INTERVAL_S
+from interarea.synthesis import judged_and_design
 
 CASE = "two-area-thesis"
 LATENCY_S = {"G2_dw": 0.1, "G4_dw": 0.0, "G1_dw": 0.05, "G3_dw": 0.05}
-INTERVAL_S, RATED_HZ = 0.02, 60.0
+RATED_HZ = 60.0
 SWING_HZ, PMU_HZ = 3e-3, 1e-3  # rms between G2 and G4; of each frame
 RECORDS, PART = 400, 5000  # side by side; stamps kept at once
 
 
-def scenario(controller: str, tie_mw: float, event: dict[str, Any], design: Path) -> dict[str, Any]:
-    """Return a run with right signals and a detector."""
-    return {
-        "case": CASE,
-        "controller": controller,
-        "stop_s": 20.0,
-        "channels": {
-            f"from_{s}": {"signal": s, "latency_s": t, "reporting_interval_s": INTERVAL_S}
-            for s, t in LATENCY_S.items()
-        },
-        "operating_point": {"tie_flow_mw": tie_mw},
-        "event": [event],
-        "detector": {"file": str(design.absolute())},
-    }
+def points(case: Case) -> Iterator[tuple[str, Case]]:
+    """Yield operating points that no detector is designed at."""
+    if case.tie is None:
+        for scale in (0.98, 1.0, 1.02):
+            yield f"load {scale:g}", operating_variant(case, load_scale=scale)
+    else:
+        for tie_mw in (-100.0, 0.0, 100.0):
+            yield f"tie {tie_mw:+g} MW", operating_variant(case, tie_flow_mw=tie_mw)
 
 
-def disturbances() -> Iterator[dict[str, Any]]:
-    """Yield disturbances of the grid."""
-    for bus, cycles in itertools.product(range(5, 12), (4, 6, 8)):
-        yield {"kind": "bus_fault", "bus": bus, "start_s": 1.0, "end_s": f"start + {cycles} cycles"}
-    for machine in ("G1", "G2", "G3", "G4"):
-        for kind in ("vref_pulse", "pm_pulse"):
-            yield {"kind": kind, "machine": machine, "size_pu": 0.05, "start_s": 1.0, "end_s": 1.3}
+def spread(items: Sequence[Any], most: int) -> Sequence[Any]:
+    """Return at most so many, from the middle of equal parts."""
+    step = max(1, -(-len(items) // most))
+    return items[step // 2 :: step]
+
+
+def disturbances(case: Case, signals: Sequence[str], trips: Sequence[str]) -> Iterator[dict[str, Any]]:
+    """Yield disturbances of a grid; signals : speeds that are compared."""
+    bare = [b.number for b in case.buses if b.number not in {m.bus for m in case.machines}]
+    for bus, cycles in itertools.product(spread(bare, MOST_BUSES), (4, 6, 8)):
+        end_s = 1.0 + cycles / case.frequency_hz
+        yield {"kind": "bus_fault", "bus": bus, "start_s": 1.0, "end_s": round(end_s, 9)}
+    compared = [m for m in case.machines if f"{m.name}_dw" in signals]
+    for m in (*compared, *spread([m for m in case.machines if m not in compared], 8)):
+        pulses = ["pm_pulse"] if m.exciter.kind == "constant" else ["vref_pulse", "pm_pulse"]
+        for kind in pulses:
+            yield {"kind": kind, "machine": m.name, "size_pu": 0.05, "start_s": 1.0, "end_s": 1.3}
         for size in (-0.05, 0.05):
-            yield {"kind": "pm_step", "machine": machine, "size_pu": size, "start_s": 1.0}
-    for bus, size in itertools.product((7, 9), (-0.5, 0.5)):
+            yield {"kind": "pm_step", "machine": m.name, "size_pu": size, "start_s": 1.0}
+    largest = sorted({load.bus: load.P_mw for load in case.loads}.items(), key=lambda item: -item[1])[:4]
+    for (bus, _), size in itertools.product(largest, (-0.5, 0.5)):
         yield {"kind": "load_step", "bus": bus, "p_pu": size, "q_pu": 0.1, "start_s": 1.0}
-    yield {"kind": "branch_trip", "branch": "8-9 a", "start_s": 1.0}
+    for branch in trips:
+        yield {"kind": "branch_trip", "branch": branch, "start_s": 1.0}
 
 
-def genuine(controllers: list[str], design: Path) -> None:
+def genuine(controllers: list[str], design: Path, most: int) -> None:
     """Print how many disturbances with right signals made the detector isolate one."""
+    compared = load_detector(design).signals
     print("| controller | runs | with an isolation |")
     print("|---|---|---|")
-    for controller in controllers:
-        runs, alarms = 0, []
-        for tie_mw, event in itertools.product((-100.0, 0.0, 100.0), disturbances()):
-            run = ia.simulate(scenario(controller, tie_mw, event, design))
-            runs += 1
-            result = {s: int(run.data[f"detector.{s}_reason"].max()) for s in LATENCY_S}
-            if any(result.values()):
-                alarms.append(f"{event} at {tie_mw:+g} MW: {result}, {run.metrics.verdict}")
-        print(f"| `{controller}` | {runs} | {len(alarms)} |", flush=True)
+    for name in controllers:
+        controller, table = judged_and_design(name, None, None)
+        places = () if table.acceptance is None else table.acceptance.fault
+        trips = dict.fromkeys(place.trip for place in places if place.trip is not None)
+        latency_s_of = signals_of(table.grid, controller, compared).all
+        events = list(disturbances(table.grid, compared, list(trips)))
+        number, alarms = 0, []
+        for k, (point, case) in enumerate(points(table.grid)):
+            chosen = events[k::3] if 3 * len(events) > most else events  # no disturbance twice, then
+            runs = [
+                WrongRun(
+                    table.grid.name,
+                    controller,
+                    latency_s_of,
+                    [event],
+                    detector={"file": str(design.absolute())},
+                )
+                for event in spread(chosen, -(-most // 3))
+            ]
+            with FaultRuns(case, default_cache()) as there:
+                for run, (outcome, data) in zip(runs, there.judged(runs, [None] * len(runs)), strict=True):
+                    number += 1
+                    result = {s: int(data[f"detector.{s}_reason"].max()) for s in latency_s_of}
+                    if any(result.values()):
+                        verdict = "lost" if outcome.verdict is None else outcome.verdict.name
+                        alarms.append(f"{run.events[0]} at {point}: {result}, {verdict}")
+        print(f"| `{name}` | {number} | {len(alarms)} |", flush=True)
         for line in alarms:
             print(f"  {line}", flush=True)
 
@@ -149,25 +184,25 @@ def ambient(controller: str, design: Path, hours: float) -> None:
 
 def compared(y: np.ndarray, patterns: Any) -> dict[str, float]:
     """Return the largest of what each test compares over its limit, of signals (signals, stamps)."""
-    span = int(2.0 / INTERVAL_S)
+    span = int(default.AVERAGE_S / INTERVAL_S)
     windows = np.lib.stride_tricks.sliding_window_view(y[:, :: FRAMES // 2], span * 2 // FRAMES, axis=1)
     mean, spans = windows.mean(axis=2), np.ptp(windows, axis=2)
     bends = np.abs(np.diff(y, n=2, axis=1))[:, : y.shape[1] // 50 * 50 - 50].reshape(len(y), -1, 50)
     bent, of_half = bends.mean(axis=2), np.median(bends, axis=2)
     result = {"pattern": float(scores(y, patterns).max()) / patterns.threshold}
     level = np.sort(spans, axis=0)[-2]
-    long = int(15.0 / INTERVAL_S) * 2 // FRAMES
+    long = int(default.STANDING_S / INTERVAL_S) * 2 // FRAMES
     if len(level) >= long:  # the last part of a record may be shorter than what it stands for
         lasts = np.lib.stride_tricks.sliding_window_view(level, long)
-        result["standing"] = float(lasts.min(axis=1).max()) / 3e-4
+        result["standing"] = float(lasts.min(axis=1).max()) / default.STANDING_PU
     each: dict[str, list[float]] = {"apart": [], "alone": [], "rough": []}
     for i in range(len(y)):
         others = [j for j in range(len(y)) if j != i]
         most = spans[others].max(axis=0)
         away = np.abs(mean[i] - np.median(mean[others], axis=0))
-        each["apart"].append(float((away / (1e-3 + 0.75 * most)).max()))
+        each["apart"].append(float((away / (default.APART_PU + default.APART_SHARE * most)).max()))
         each["alone"].append(float((spans[i] / (patterns.alone * (3.0 * patterns.floor + most))).max()))
-        each["rough"].append(float((of_half[i] / (1e-4 + 2.0 * bent[others].max(axis=0))).max()))
+        each["rough"].append(float((of_half[i] / (default.ROUGH_PU + 2.0 * bent[others].max(axis=0))).max()))
     return result | {name: max(values) for name, values in each.items()}
 
 
@@ -176,10 +211,13 @@ if __name__ == "__main__":
     parser.add_argument("controllers", nargs="*", default=["robust"])
     parser.add_argument("--design", type=Path, required=True, help="file of the detector's patterns")
     parser.add_argument("--ambient-hours", type=float, default=0.0, help="ambient noise in place of them")
+    parser.add_argument("--most", type=int, default=1000, help="disturbances, evenly chosen (default 1000)")
     asked = parser.parse_args()
     if not asked.design.exists():
-        design_detector(CASE, "robust", list(LATENCY_S)).save(asked.design)
+        first, of_first = judged_and_design(asked.controllers[0], None, None)
+        signals = list(signals_of(of_first.grid, first).all)
+        design_detector(of_first.grid, asked.controllers[0], signals).save(asked.design)
     if asked.ambient_hours:
         ambient(asked.controllers[0], asked.design, asked.ambient_hours)
     else:
-        genuine(asked.controllers, asked.design)
+        genuine(asked.controllers, asked.design, asked.most)

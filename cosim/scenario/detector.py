@@ -7,6 +7,20 @@ from typing import TYPE_CHECKING, Annotated
 
 from pydantic import Field
 
+from interarea.models.detector_defaults import (
+    APART_PU,
+    APART_SHARE,
+    AVERAGE_S,
+    JUMP_PU_PER_S,
+    MOVING_PU,
+    RANGE_PU,
+    REPEAT_FRAMES,
+    RETURN_S,
+    ROUGH_PU,
+    STANDING_PU,
+    STANDING_S,
+    WAIT_S,
+)
 from interarea.models.table import Table
 
 from .signal_paths import SignalPath
@@ -27,24 +41,28 @@ class DetectorTable(Table):
 
     #: of `design_detector`, relative to this file: patterns of correct signals; default: not tested
     file: Annotated[str, Field(examples=["detector.json"])] = ""
-    range_pu: Annotated[float, Field(gt=0.0, examples=[0.05])] = 0.05  #: largest magnitude of a signal
-    jump_pu_per_s: Annotated[float, Field(gt=0.0, examples=[0.24])] = 0.24  #: its largest change in a second
+    range_pu: Annotated[float, Field(gt=0.0, examples=[0.05])] = RANGE_PU  #: largest magnitude of a signal
+    jump_pu_per_s: Annotated[float, Field(gt=0.0, examples=[0.24])] = (
+        JUMP_PU_PER_S  #: its largest change in a second
+    )
     #: consecutive frames, equal or as earlier ones, that fail the test while others move
-    repeat_frames: Annotated[int, Field(ge=1)] = 10
+    repeat_frames: Annotated[int, Field(ge=1)] = REPEAT_FRAMES
     #: largest distance of a signal's mean from the median of the others
-    apart_pu: Annotated[float, Field(gt=0.0, examples=[0.001])] = 0.001
+    apart_pu: Annotated[float, Field(gt=0.0, examples=[0.001])] = APART_PU
     #: share of the others' span that is added to this distance
-    apart_share: Annotated[float, Field(ge=0.0)] = 0.75
+    apart_share: Annotated[float, Field(ge=0.0)] = APART_SHARE
     #: largest median of the second differences of a signal, plus twice that of the others
-    rough_pu: Annotated[float, Field(gt=0.0, examples=[0.0001])] = 0.0001
-    average_s: Positive = 2.0  #: time over which means are taken: a period of the slowest swing, or more
+    rough_pu: Annotated[float, Field(gt=0.0, examples=[0.0001])] = ROUGH_PU
+    average_s: Positive = (
+        AVERAGE_S  #: time over which means are taken: a period of the slowest swing, or more
+    )
     #: time without a failed test before a signal is trusted again; twice as long each further time
-    return_s: Annotated[float, Field(ge=0.0, examples=[5.0])] = 60.0
+    return_s: Annotated[float, Field(ge=0.0, examples=[5.0])] = RETURN_S
     #: span of a swing that takes all signals out when it stands, whatever its cause; ambient noise with 4 mHz
     #: rms between areas does so once in 50 days (docs/wrong_signals.md)
-    standing_pu: Annotated[float, Field(gt=0.0, examples=[0.0003])] = 0.0003
-    standing_s: Positive = 15.0  #: duration of such a swing before they are withheld
-    wait_s: Annotated[float, Field(ge=0.0)] = 1.0  #: signals later than this are not waited for
+    standing_pu: Annotated[float, Field(gt=0.0, examples=[0.0003])] = STANDING_PU
+    standing_s: Positive = STANDING_S  #: duration of such a swing before they are withheld
+    wait_s: Annotated[float, Field(ge=0.0)] = WAIT_S  #: signals later than this are not waited for
 
     def wrong(self, paths: Sequence[SignalPath], names: Collection[str]) -> Iterator[str]:
         """Yield why these signals cannot be compared; names : of other instances."""
@@ -81,7 +99,7 @@ class DetectorTable(Table):
             "wait": self.wait_s,
             "average": self.average_s,
             "return_time": self.return_s,
-            "moving": max(1e-6, 4.0 * quantum),  # the rounded top of a swing repeats, and is not stuck
+            "moving": max(MOVING_PU, 4.0 * quantum),  # the rounded top of a swing repeats, and is not stuck
             "share": self.apart_share,
             "standing": self.standing_pu,
             "standing_time": self.standing_s,

@@ -31,6 +31,7 @@ from interarea.fmu_build.write.cache import default_cache
 from interarea.models.case.case import Case, load_case
 from interarea.models.case.schema import Machine
 from interarea.models.case.variants import operating_variant
+from interarea.models.detector_defaults import INTERVAL_S
 from interarea.models.errors import UserError
 
 from ..designs.fault_runs import TOGETHER, FaultRuns
@@ -51,7 +52,7 @@ def design_detector(
     signals: Sequence[str],
     *,
     cache: Path | None = None,
-    interval_s: float = 0.02,
+    interval_s: float = INTERVAL_S,
     noise_pu: float = 1e-3 / 60.0,
     progress: Callable[[float], object] = lambda _: None,
 ) -> DetectorDesign:

@@ -10,6 +10,7 @@ from interarea.design.controllers.bank import ControllerBank
 from interarea.design.controllers.controller import Controller
 from interarea.design.robust.signal_worth import own_signals
 from interarea.models.case.case import Case
+from interarea.models.detector_defaults import INTERVAL_S
 
 from ..designs.design_file import DesignTable
 from ..designs.design_tables import FaultPlace
@@ -19,7 +20,6 @@ from ..scenario.signal_faults import SWAP
 Judged: TypeAlias = Controller | ControllerBank
 START_S, WRONG_S, STOP_S = 1.0, 1.5, 20.0  #: disturbance; the signal is wrong from then on; end of the run
 LONG_S = 60.0  #: end of a run that has not settled by `STOP_S`, and of those without control
-INTERVAL_S = 0.02  #: between packets
 REMOTE_S, WITNESS_S = 0.1, 0.05  #: latency; a signal of an actuator's own machine comes at once
 REST, PULSE, FAULT, TRIP = DISTURBANCES = ("rest", "pulse", "bus fault", "tie trip")
 LEAST_SIGNALS = 4  #: that are compared: with the wrong one left out three agree

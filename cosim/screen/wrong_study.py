@@ -21,7 +21,7 @@ from ..designs.design_tables import FaultPlace
 from ..plots.html import page_environment
 from ..results.verdict import LOST
 from .detector_design import design_detector
-from .wrong_runs import INTERVAL_S, LONG_S, START_S, STOP_S, WRONG_S, Judged, signals_of
+from .wrong_runs import LONG_S, START_S, STOP_S, WRONG_S, Judged, signals_of
 from .wrong_signals import HEADER, RIGHT, WrongRow, certify_wrong_signals
 
 #: by default: the default controller, the bank, one of the printed ones, and those of larger sets of signals
@@ -113,9 +113,7 @@ def _detector(
         signals,
     ):
         try:
-            designed = design_detector(
-                subject.case, subject.name, signals, cache=cache, interval_s=INTERVAL_S, progress=progress
-            )
+            designed = design_detector(subject.case, subject.name, signals, cache=cache, progress=progress)
         except DetectorDesignError as error:
             return None, str(error)
         designed.save(file)

@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from interarea.models.blocks.detector import Patterns
+from interarea.models.detector_defaults import AVERAGE_S, INTERVAL_S
 from interarea.models.documents import DocumentError, read_document
 from interarea.models.errors import UserError
 from interarea.models.files import write_whole
@@ -23,7 +24,7 @@ from interarea.models.files import write_whole
 Array = npt.NDArray[np.float64]
 FRAMES, SAMPLES = 4, 12  #: stamps a sample, samples a window
 _SCHEMA = 2
-_SPAN = 100  # stamps that a span is taken over: `average_s` of a scenario by default
+_SPAN = round(AVERAGE_S / INTERVAL_S)  # stamps that a span is taken over
 
 
 class DetectorDesignError(UserError):

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from .. import detector_defaults as default
 from .sizes import MOST_SIGNALS
 from .variables import Block, Variable, VariableTable
 
@@ -122,17 +123,22 @@ def _ports(signals: Sequence[str]) -> Iterator[Variable]:
 
 def _parameters(signals: Sequence[str], patterns: Patterns | None) -> Iterator[Variable]:
     for key, text, unit, start in (
-        ("interval", "Interval of frames", "s", 0.02),
-        ("wait", "Longest wait for the frame of a delayed signal", "s", 1.0),
-        ("average", "Time over which means are compared", "s", 2.0),
+        ("interval", "Interval of frames", "s", default.INTERVAL_S),
+        ("wait", "Longest wait for the frame of a delayed signal", "s", default.WAIT_S),
+        ("average", "Time over which means are compared", "s", default.AVERAGE_S),
         (
             "return_time",
             "Time for which an isolated signal must pass every test before its first return",
             "s",
-            60.0,
+            default.RETURN_S,
         ),
-        ("moving", "Least change between two frames of a signal that moves", "pu", 1e-6),
-        ("share", "Share of the span of the other signals that is added to `apart`", "1", 0.75),
+        ("moving", "Least change between two frames of a signal that moves", "pu", default.MOVING_PU),
+        (
+            "share",
+            "Share of the span of the others that is added to `apart`",
+            "1",
+            default.APART_SHARE,
+        ),
         ("pattern", "Largest score against the patterns", "1", patterns.threshold if patterns else 1.0),
         ("floor", "Noise floor of the residual of a window", "pu", patterns.floor if patterns else 1.0),
         (
@@ -141,21 +147,21 @@ def _parameters(signals: Sequence[str], patterns: Patterns | None) -> Iterator[V
             "1",
             patterns.alone if patterns else 1e9,
         ),
-        ("standing", "Span of a sustained swing that isolates all signals", "pu", 3e-4),
-        ("standing_time", "Duration of that swing before it does", "s", 15.0),
+        ("standing", "Span of a sustained swing that isolates all signals", "pu", default.STANDING_PU),
+        ("standing_time", "Duration of that swing before it does", "s", default.STANDING_S),
     ):
         yield Variable(key, "parameter", text, unit=unit, start=start, min=0.0)
     for i, s in enumerate(signals, start=1):
         for key, text, start in (
-            ("range", f"Largest magnitude of {s}", 0.05),
-            ("jump", f"Largest change of {s} in a second", 0.24),
-            ("apart", f"Largest distance of the mean of {s} from the others", 1e-3),
-            ("rough", f"Largest median of the second differences of {s}", 1e-4),
+            ("range", f"Largest magnitude of {s}", default.RANGE_PU),
+            ("jump", f"Largest change of {s} in a second", default.JUMP_PU_PER_S),
+            ("apart", f"Largest distance of the mean of {s} from the others", default.APART_PU),
+            ("rough", f"Largest median of the second differences of {s}", default.ROUGH_PU),
         ):
             unit = "pu/s" if key == "jump" else "pu"
             yield Variable(f"{key}[{i}]", "parameter", text, unit=unit, start=start, min=0.0)
     text = "Number of consecutive repeated frames that isolates a signal"
-    yield Variable("repeats", "parameter", text, type="Integer", start=10, min=1)
+    yield Variable("repeats", "parameter", text, type="Integer", start=default.REPEAT_FRAMES, min=1)
 
 
 _BEHAVIOUR = (

@@ -12,7 +12,7 @@ from interarea.cosim.errors import ScenarioError, ScenarioWarning
 from interarea.cosim.run.run import system_of
 from interarea.cosim.scenario.scenario import load_scenario
 from interarea.design.controllers.detector_record import DetectorDesign
-from interarea.models.blocks.detector import REASONS, Patterns
+from interarea.models.blocks.detector import REASONS, Patterns, detector_block
 from interarea.simulation import simulate
 
 WRONG_S = 1.5
@@ -53,6 +53,15 @@ def test_a_fault_of_the_grid_is_no_wrong_signal_and_changes_no_bit(controller: s
     alone = simulate(scenario(controller, detector=False))
     assert watched.data["detector.isolations"].max() == 0
     np.testing.assert_array_equal(watched.data["plant.G4_dw"], alone.data["plant.G4_dw"])
+
+
+def test_a_table_without_keys_and_an_fmu_without_parameters_have_the_same_limits() -> None:
+    read = load_scenario(scenario())
+    assert read.detector is not None
+    block = detector_block([path.signal for path in read.signals])
+    of_table = read.detector.parameters(read.signals)
+    assert len(of_table) == 9 + 4 * len(CHANNELS)
+    assert {name: block.table[name].start for name in of_table} == of_table
 
 
 def test_polarity_in_a_swing_is_named_at_its_first_frame_and_taken_away() -> None:
