@@ -104,6 +104,9 @@ class Acceptance:
     longest_s: float = 0.0  #: the longest run that the linear loops, or a verdict, asked for
     #: operating points and branches without which no power flow is found: there the loop with them is judged
     unsolved: tuple[str, ...] = ()
+    #: settings in which a line-commutated dc link fails to commutate, which the model does not have: the runs
+    #: are optimistic
+    commutation: tuple[str, ...] = ()
 
     @property
     def violations(self) -> tuple[str, ...]:
@@ -297,7 +300,7 @@ def joined(parts: Sequence[Acceptance]) -> Acceptance:
     values: dict[str, Any] = {name: sum(getattr(part, name) for part in parts) for name in ("cases", "loops")}
     for name in ("largest_angle_deg", "longest_s"):
         values[name] = max(getattr(part, name) for part in parts)
-    for name in ("lost", "gained", "clearing", "standing", "unstable", "unsolved"):
+    for name in ("lost", "gained", "clearing", "standing", "unstable", "unsolved", "commutation"):
         values[name] = tuple(each for part in parts for each in getattr(part, name))
     return Acceptance(**values)
 
@@ -313,6 +316,7 @@ class _Collected:
     gained: list[str] = field(default_factory=list)
     standing: list[str] = field(default_factory=list)
     unstable: list[str] = field(default_factory=list)
+    commutation: list[str] = field(default_factory=list)
     largest: float = 0.0
     cases: int = 0
     loops: int = 0
@@ -325,6 +329,8 @@ class _Collected:
             self.cases += len(settings)
             for s in settings:
                 run = outcomes[s, True]
+                if run.failed_links:
+                    self.commutation.append(f"{s}: {', '.join(run.failed_links)}")
                 if run.synchronous:
                     self.largest = max(self.largest, run.angle_rad)
                 if without.synchronous and not run.synchronous:
@@ -358,6 +364,7 @@ class _Collected:
             tuple(self.unstable),
             self.longest_s,
             unsolved,
+            tuple(self.commutation),
         )
 
 

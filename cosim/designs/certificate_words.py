@@ -108,6 +108,9 @@ def in_words(result: Mapping[str, Any] | None) -> str:
     if result.get("unstable"):
         text += f"; {len(result['unstable'])} of {result['loops']} linear loops after the faults are "
         text += f"unstable (first: {result['unstable'][0]})"
+    if result.get("commutation"):
+        text += f"; {len(result['commutation'])} with a dc link that fails to commutate, which the model "
+        text += f"does not have (first: {result['commutation'][0]})"
     if result["clearing_mean_change_cycles"] is not None:
         text += (
             f"; clearing times {result['clearing_mean_change_cycles']:+.1f} cycles on average, "

@@ -23,6 +23,7 @@ from ..master.instances import FmuParticipant
 from ..master.isolated import participant_of
 from ..master.lockstep import advance_together
 from ..master.master import Master
+from ..results.accumulators import Commutations
 from ..results.judge import motion_of
 from ..results.largest_deviation import angles_of, with_angles
 from ..results.ringdown import Swing, control_limit_pu
@@ -76,11 +77,13 @@ class FaultRun:
 class Outcome:
     """The outcome of a run.
 
-    angle_rad : largest between two machines; inf, and no verdict, if it ended early.
+    angle_rad : largest between two machines; inf, and no verdict, if it ended early. failed_links : dc links
+    that failed to commutate in it.
     """
 
     angle_rad: float
     verdict: Verdict | None
+    failed_links: tuple[str, ...] = ()
 
     @property
     def synchronous(self) -> bool:
@@ -187,7 +190,9 @@ class FaultRuns:
             controls = {name: data[name] for name in data.reals_of("controller")}
             motion.add(data.time_s, speeds, angles_of(data, motion.names), controls)
             limit = None if run.controller is None else control_limit_pu(master)
-            yield Outcome(angle, motion.verdict(limit, root)), data
+            commutations = Commutations(self.case)
+            commutations.add(data)
+            yield Outcome(angle, motion.verdict(limit, root), commutations.failed), data
 
     def _ended(self, runs: Sequence[GridRun]) -> Iterator[tuple[Scenario, Master]]:
         for first in range(0, len(runs), TOGETHER):

@@ -248,6 +248,11 @@ class Commutations:
                 link.add(part.time_s, *(part[name] for name in columns))
 
     @property
+    def failed(self) -> tuple[str, ...]:
+        """The links that fail to commutate."""
+        return tuple(link.row.name for link in self._links if link.failures)
+
+    @property
     def warnings(self) -> list[str]:
         """A line on each link that fails to commutate."""
         return [self._line(link) for link in self._links if link.failures]

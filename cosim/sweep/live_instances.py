@@ -22,6 +22,7 @@ from ..errors import ScenarioError
 from ..master.instances import FmuParticipant
 from ..master.instances import Value as Start
 from ..master.master import Master
+from ..results.judge import Judge
 from ..results.largest_deviation import LargestDeviation, largest_deviation_of
 from ..results.metrics import SYNCHRONISM
 from ..results.ringdown import control_limit_pu, disturbance_end_s
@@ -31,7 +32,7 @@ from ..run.system import System
 from ..trajectory import Trajectory
 from .plan import SweepPlan, own_fmu
 from .point import CaseChange, Point
-from .rows import Row, deviation_row, measured, packet_counts
+from .rows import COMMUTATION, Row, deviation_row, measured, packet_counts
 from .shared_start import Beginning, Instances, Job, beginning_of, taken_over
 
 KEPT = 4  #: plants, and sets of instances, that stay alive
@@ -94,7 +95,7 @@ class LiveFmus(Fmus):
     def _made(self, change: CaseChange, slots: int) -> Plant:
         base = self._cases.setdefault(change.case, self.plan.case(change.case))
         case = change.apply(base)
-        show, more = self.plan.sweep.show, self.plan.sweep.base.shows
+        show, more = self.plan.sweep.show, (*self.plan.sweep.base.shows, *Judge.reads(case))
         if case is base and slots == EVENT_SLOTS:
             return Plant(case, self.built(plant_fmu(case, self.cache, show=show, more=more)), own=False)
         path = self.scratch / f"plant-{case.hash}-{slots}.fmu"
@@ -148,6 +149,8 @@ class Kept:
         metrics = judge.metrics(control_limit_pu(self.master), roots)
         packets = [packet_counts(self.master.participants[name]) for name in self.system.channels]
         row = measured(metrics, wanted, modes, packets)
+        if judge.case.hvdcs:
+            row[COMMUTATION] = ", ".join(judge.commutations.failed) or None
         if SYNCHRONISM in wanted:
             row |= deviation_row(self.largest_deviation(trajectory))
         return row

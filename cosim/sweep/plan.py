@@ -69,6 +69,11 @@ class SweepPlan:
         """Return a case of the sweep."""
         return case_of(self.cases[name], where=name)
 
+    @property
+    def has_dc_links(self) -> bool:
+        """Whether a case has line-commutated dc links."""
+        return any(case.get("hvdcs") for case in self.cases.values())
+
     def swing(self, case: str) -> Swing:
         """Return what the runs of a case are judged by."""
         return Swing(*self.swings[case])

@@ -30,6 +30,7 @@ PACKETS = {
     "packets_lost": "dropped",
     "packets_late": "late",
 }
+COMMUTATION = "commutation_failure"  #: column of sweeps with line-commutated dc links
 #: metric -> column, which is the field of `Metrics` too
 _COLUMNS = {
     "settling_time": "settling_time_s",
@@ -141,6 +142,9 @@ def _measured_fields(plan: SweepPlan, signal: str) -> list[pa.Field]:
             fields.append(_field(column, pa.float64(), unit, text))
     if SYNCHRONISM in requested:
         fields += [_field(c, *rest) for c, rest in _DEVIATION.items()]
+    if plan.has_dc_links:
+        text = "dc links that fail to commutate; null: none; the model continues without a failure"
+        fields.append(_field(COMMUTATION, pa.string(), "", text))
     if "packets" in requested:
         fields += [_field(c, pa.int64(), "", f"packets {w}, all channels") for c, w in PACKETS.items()]
     return fields

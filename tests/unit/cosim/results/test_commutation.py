@@ -5,12 +5,19 @@ from __future__ import annotations
 from math import acos, cos, degrees, radians
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import interarea as ia
+from interarea.cosim.designs.acceptance import judge_acceptance
+from interarea.cosim.designs.certificate_words import in_words
+from interarea.cosim.designs.design_tables import AcceptanceTable
 from interarea.cosim.export.joint import run_joint
 from interarea.cosim.results.accumulators import CRITICAL_DEG, Commutations
+from interarea.cosim.sweep.front import run_sweep
+from interarea.cosim.sweep.parts import read_rows
 from interarea.cosim.trajectory import TIME, Trajectory
+from interarea.design.controllers.bundled import shipped_controller
 from interarea.models.case.case import load_case
 from interarea.models.grid.dc_link import ends_of
 
@@ -106,6 +113,28 @@ def test_the_run_as_one_block_says_the_same(cache):
     (line,) = ia.simulate(document).warnings
     assert line.startswith("commutation failure of hvdc1 at its inverter's bus 115")
     assert run_joint(document, cache=cache).warnings == (line,)
+
+
+@pytest.mark.slow
+def test_rows_of_a_sweep_name_links_that_fail_to_commutate(tmp_path, cache):
+    case = scenario(bus=13) | {"case": "two-area-hvdc"}
+    depths = {"depth": {"path": "event.1.x_pu", "values": [0.02, 5.0]}}
+    run_sweep({"name": "s", "scenario": case, "parameters": depths}, tmp_path / "s", workers=1, cache=cache)
+    rows = read_rows(tmp_path / "s")
+    assert [None if pd.isna(value) else value for value in rows["commutation_failure"]] == ["hvdc1", None]
+
+
+@pytest.mark.slow
+def test_the_acceptance_names_faults_after_which_a_link_fails_to_commutate(cache):
+    """A fault at the inverter's bus, not one at the far end of the grid."""
+    places = AcceptanceTable(fault=({"bus": 9}, {"bus": 5}), latency_s=(0.1,), never_lost=("G2_dw", "G4_dw"))
+    cases, K = {"base": with_link()}, shipped_controller("robust")
+    acceptance = judge_acceptance(K, cases, places, cache, clearing=False)
+    assert acceptance.commutation == ("base, fault at bus 9, 100 ms: hvdc1",)
+    line = (
+        "1 with a dc link that fails to commutate, which the model does not have (first: base, fault at bus 9"
+    )
+    assert line in in_words(acceptance.as_dict())
 
 
 @pytest.mark.parametrize("event", [{"x_pu": 5.0}, {"bus": 5, "x_pu": 1.0}])
