@@ -23,10 +23,20 @@ from interarea.models.case.variants import operating_variant
 from ..designs.design_tables import FaultPlace
 from ..designs.family import FamilyPlant
 from ..designs.fault_runs import TOGETHER, FaultRuns, Outcome
-from ..results.verdict import LOST, SETTLED, STABLE
+from ..results.verdict import LOST, STABLE
 from ..scenario.signal_faults import SWAP, wrong_kinds
 from ..trajectory import Trajectory
-from .wrong_runs import LONG_S, STOP_S, WRONG_S, Judged, Signals, WrongRun, disturbances_of, signals_of
+from .wrong_runs import (
+    LONG_S,
+    STOP_S,
+    WRONG_S,
+    Judged,
+    Signals,
+    WrongRun,
+    disturbances_of,
+    signals_of,
+    to_the_end,
+)
 
 RIGHT = "nothing wrong"
 _STANDING = REASONS.index("standing")
@@ -207,8 +217,8 @@ def certify_wrong_signals(
 ) -> WrongCertificate:
     """Return the effect of each kind of wrong signal on a loop.
 
-    A run that has not settled by `STOP_S`, and kept synchronism until then, is judged at `LONG_S`. A run in
-    which the detector trusts every signal to its end is also the one without a detector.
+    Runs end as `to_the_end` says. One in which the detector trusts every signal to its end is also the one
+    without a detector.
 
     place : of the fault, and of the trip. detector : table of a scenario; default: its tests that need no
     design. compared : signals of the detector's file. kinds, disturbances : names of those to run; default
@@ -283,27 +293,12 @@ def _rows(
     for first in range(0, len(jobs), TOGETHER):  # lanes step together runs of the same structure
         part = jobs[first : first + TOGETHER]
         of_part: dict[int, WrongRow] = {}
-        for k, run, outcome, data in _to_the_end(runs, [run for _, run in part]):
+        for k, run, outcome, data in to_the_end(runs, [run for _, run in part]):
             kind, d, signal = part[k][0]
             of_part[k] = _row((kind, signal, d, point), run, outcome, data, bare[d])
         rows += [of_part[k] for k in range(len(part))]
         ended(len(part))
     return rows
-
-
-def _to_the_end(
-    runs: FaultRuns, part: Sequence[WrongRun]
-) -> Iterator[tuple[int, WrongRun, Outcome, Trajectory]]:
-    """Yield place, run, verdict and results; a run that has not settled is run again, to `LONG_S`."""
-    again: dict[int, WrongRun] = {}
-    for k, (outcome, data) in enumerate(runs.judged(part, [None] * len(part))):
-        if outcome.verdict is None or outcome.verdict.name in (SETTLED, LOST):
-            yield k, part[k], outcome, data
-        else:
-            again[k] = replace(part[k], stop_s=LONG_S)
-    longer = runs.judged(list(again.values()), [None] * len(again))
-    for (k, run), (outcome, data) in zip(again.items(), longer, strict=True):
-        yield k, run, outcome, data
 
 
 def _jobs(

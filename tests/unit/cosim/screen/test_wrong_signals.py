@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import control
 import numpy as np
@@ -14,9 +14,9 @@ import pytest
 from interarea.cli.certificates.wrong_signals import check_wrong_options
 from interarea.cosim.designs.design_file import load_design
 from interarea.cosim.designs.design_tables import FaultPlace
-from interarea.cosim.designs.fault_runs import FaultRuns
+from interarea.cosim.designs.fault_runs import FaultRuns, Outcome
 from interarea.cosim.errors import ScenarioError
-from interarea.cosim.results.verdict import GROWING, LOST, SETTLED, STANDING
+from interarea.cosim.results.verdict import GROWING, LOST, SETTLED, SLOW, STANDING, Verdict
 from interarea.cosim.scenario.scenario import load_scenario
 from interarea.cosim.scenario.signal_faults import SWAP, wrong_kinds
 from interarea.cosim.screen import wrong_signals
@@ -139,13 +139,13 @@ def test_a_run_whose_signals_stay_trusted_is_not_run_again_without_a_detector(
         "disturbances": ("rest", "pulse"),
     }
     runs: list[WrongRun] = []
-    to_the_end = wrong_signals._to_the_end
+    to_the_end = wrong_signals.to_the_end
 
     def counted(of: FaultRuns, part: Sequence[WrongRun]) -> Any:
         runs.extend(part)
         return to_the_end(of, part)
 
-    monkeypatch.setattr(wrong_signals, "_to_the_end", counted)
+    monkeypatch.setattr(wrong_signals, "to_the_end", counted)
     short = certified(robust, **asked)
     changed = sum(r.detected_s is not None or r.stopped_s is not None for r in short.rows)
     # two with nothing wrong, 12 wrong: with a detector each, without one those that it changed
@@ -157,6 +157,47 @@ def test_a_run_whose_signals_stay_trusted_is_not_run_again_without_a_detector(
     assert len(runs) == len(each) == 28
     assert [replace(r, left_pu=0.0) for r in each] == [replace(r, left_pu=0.0) for r in short.rows]
     assert [r.left_pu for r in each] == pytest.approx([r.left_pu for r in short.rows], rel=1e-3, abs=1e-12)
+
+
+class Reasons(dict[str, np.ndarray]):
+    """Results of a detector that isolates a signal at an instant, and trusts it again two seconds later."""
+
+    def __init__(self, stop_s: float, isolated_s: float) -> None:
+        self.time_s = np.arange(0.0, stop_s, 0.02)
+        out = (self.time_s >= isolated_s - 1e-9) & (self.time_s < isolated_s + 2.0)
+        super().__init__({"detector.a_reason": 6 * out, "detector.b_reason": 0 * out})
+
+
+@pytest.mark.parametrize(
+    ("name", "isolated_s", "detector", "stops"),
+    [
+        (GROWING, 41.0, True, [20.0, 60.0, 71.0]),
+        (STANDING, 30.5, True, [20.0, 60.0, 61.0]),
+        (GROWING, 29.0, True, [20.0, 60.0]),  # the last window, from 45 s on, is without the signal
+        (GROWING, 41.0, False, [20.0, 60.0]),
+        (SLOW, 41.0, True, [20.0, 60.0]),
+        (LOST, 41.0, True, [20.0]),
+        (SETTLED, 1.7, True, [20.0]),
+    ],
+)
+def test_a_swing_is_judged_without_the_signal_that_was_isolated_late(
+    name: str, isolated_s: float, detector: bool, stops: list[float]
+) -> None:
+    tried: list[float] = []
+
+    class Runs:
+        def judged(self, part: Sequence[WrongRun], roots: Sequence[None]) -> Any:
+            assert len(part) == len(roots)
+            tried.extend(run.stop_s for run in part)
+            for run in part:
+                verdict = Verdict(name, "", (0.0, run.stop_s), 1.0, 1.0, 1.0, 1.0, None, None)
+                yield Outcome(1.0, verdict), Reasons(run.stop_s, isolated_s)
+
+    run = WrongRun("grid", None, {"a": 0.0, "b": 0.1}, [], detector={} if detector else None)
+    ((place, last, _, data),) = wrong_signals.to_the_end(cast(FaultRuns, Runs()), [run])
+    assert tried == stops
+    assert (place, last.stop_s) == (0, stops[-1])
+    assert data.time_s[-1] == pytest.approx(stops[-1], abs=0.03)
 
 
 def test_swapped_signals_with_a_late_witness_are_run_without_a_detector_too() -> None:
