@@ -75,7 +75,7 @@ class StaticLoad:
 
     follows : how the constant-power part follows the voltage in the dynamics, None as the user says.
     q_free : its Q is not given; the stored voltages tell it. Where they are no solution, it gives `set_q`
-    Mvar or holds `set_v` pu at its bus with `most_mvar` at most.
+    Mvar or holds `set_v` pu at its bus with a current of `most_mva` at most, MVA at 1 pu.
     groups : its area, zone and owner. law : share and exponent of P, and of Q, of each term of a load record.
     """
 
@@ -94,7 +94,7 @@ class StaticLoad:
     q_free: bool = False
     set_q: float | None = None
     set_v: float | None = None
-    most_mvar: float = math.inf
+    most_mva: float = math.inf
     home: int = 0  #: the bus in the file, from which it has its name
     groups: tuple[int, int, int] = (1, 1, 1)
     law: tuple[tuple[float, float, float, float], ...] | None = None
@@ -111,7 +111,7 @@ class StaticUnit:
     identity: str
     p: float
     q: float
-    v: float
+    v: float | None  #: that it holds at its bus; None: it regulates another
     base: float
     r: float
     x: float

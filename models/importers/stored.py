@@ -136,23 +136,23 @@ def _solved(
 ) -> tuple[npt.NDArray[np.complex128], _Arrays]:
     """Return the voltages, and the grid with the Q of the converters `holding` their bus.
 
-    One that would give more than its largest Q gives that, and `held` loses its bus.
+    One that would give more than its largest current gives that; where none is left, `held` loses the bus.
     """
     while True:
         V = _newton(arrays, free_angle, np.flatnonzero(~held), held)
         if not holding:
             return V, arrays
         _balance(arrays, V, holding)
-        beyond = [load for load in holding if not abs(load.q) <= load.most_mvar]
+        beyond = [load for load in holding if not abs(load.q) <= load.most_mva * abs(V[arrays.at[load.bus]])]
         for load in beyond:
-            load.q = float(np.copysign(load.most_mvar, load.q))
-            held[arrays.at[load.bus]] = False
+            load.iq, load.q = float(np.copysign(load.most_mva, load.q)), 0.0
             report.assume("FACTS device gives its SHMX, with which it does not hold VSET", load.where)
         arrays = _Arrays(arrays.grid)
         if not beyond:
             return V, arrays
-        left = {load.bus for load in beyond}
-        holding = [load for load in holding if load.bus not in left]
+        holding = [load for load in holding if all(load is not other for other in beyond)]
+        for bus in {load.bus for load in beyond} - {load.bus for load in holding}:
+            held[arrays.at[bus]] = False
 
 
 def decide_units_at_load_buses(grid: StaticGrid, report: Report) -> None:
@@ -210,7 +210,11 @@ def _hold_set_points(grid: StaticGrid, arrays: _Arrays, report: Report) -> bool:
     done: set[int] = set()
     for unit in grid.units:
         bus = grid.buses[unit.bus]
-        if bus.kind != LOAD and unit.bus not in done and unit.v > 0.0:
+        if bus.kind == LOAD or unit.bus in done:
+            continue
+        if unit.v is None:
+            report.assume("unit that regulates another bus: holds the stored voltage of its own", unit.where)
+        elif unit.v > 0.0:
             done.add(unit.bus)
             if unit.v != bus.v:
                 report.assume(

@@ -122,29 +122,36 @@ def _facts(record: Record, grid: StaticGrid, report: Report) -> None:
         return
     grid.bus(first, record.where)
     if second == 0:
-        _shunt_part(record, add_load(grid, record, first, "F", "S", 0j, q_free=True))
+        _shunt_part(record, add_load(grid, record, first, "F", "S", 0j, q_free=True), grid, report)
         report.assume("shunt FACTS device modelled as a constant Q", record.where)
         return
     grid.bus(second, record.where)
     if mode == 1:
         power = complex(record.number("PDES", 0.0), record.number("QDES", 0.0))
         add_load(grid, record, second, "F", "J", -power)
-        _shunt_part(record, add_load(grid, record, first, "F", "I", complex(power.real, 0.0), q_free=True))
+        load = add_load(grid, record, first, "F", "I", complex(power.real, 0.0), q_free=True)
+        _shunt_part(record, load, grid, report)
         report.assume("series FACTS device modelled as its scheduled power at both ends", record.where)
     elif mode == 2:
         name = record.text("NAME")
         grid.branches.append(
             StaticBranch((first, second), name, first, second, 0.0, 0.0, 0.0, record.where, joins=True)
         )
-        _shunt_part(record, add_load(grid, record, first, "F", "S", 0j, q_free=True))
+        _shunt_part(record, add_load(grid, record, first, "F", "S", 0j, q_free=True), grid, report)
     else:
         raise record.wrong(
             "MODE", str(mode), "0, 1 or 2 (other modes of the series element are not supported)"
         )
 
 
-def _shunt_part(record: Record, load: StaticLoad) -> None:
+def _shunt_part(record: Record, load: StaticLoad, grid: StaticGrid, report: Report) -> None:
     """Have the shunt part hold its voltage within its rating where the stored voltages are no solution."""
-    held, most = record.number("VSET", 1.0), record.number("SHMX", 9999.0)
+    held, load.most_mva = record.number("VSET", 1.0), record.number("SHMX", 9999.0)
+    if not load.most_mva >= 0.0:
+        raise record.wrong("SHMX", f"{load.most_mva:g}", "0 MVA at 1 pu or above")
     load.set_v = held if held > 0.0 else None
-    load.most_mvar = most if most > 0.0 else math.inf
+    if "FCREG" in record.position and record.bus("FCREG", 0) not in (0, load.bus):
+        load.set_v = grid.buses[load.bus].v
+        report.assume(
+            "FACTS device that regulates another bus: holds the stored voltage of its own", record.where
+        )

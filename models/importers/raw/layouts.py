@@ -77,7 +77,7 @@ _FIELDS: dict[str, tuple[tuple[int, str], ...]] = {
     ),
     "multi-terminal bus": ((23, "IDC IB AREA ZONE DCNAME IDC2 RGRND OWNER"),),
     "multi-terminal link": ((23, "IDC JDC DCCKT MET RDC LDC"),),
-    "FACTS": ((23, _FACTS),),
+    "FACTS": ((23, _FACTS), (31, f"{_FACTS} FCREG")),
     "GNE": ((32, "NAME MODEL NTERM"),),
     "induction machine": (
         (33, f"I ID STAT SC DC AREA ZONE OWNER {_MOTOR}"),

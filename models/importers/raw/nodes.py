@@ -102,7 +102,7 @@ def _unit(record: Record, grid: StaticGrid) -> None:
         record.identity("ID"),
         record.number("PG", 0.0),
         record.number("QG", 0.0),
-        record.number("VS", 1.0),
+        record.number("VS", 1.0) if record.bus("IREG", 0) in (0, bus.number) else None,
         base,
         record.number("ZR", 0.0),
         record.number("ZX", 1.0),

@@ -48,6 +48,10 @@ def _read(record: Record, raw: RawFile, grid: StaticGrid, report: Report) -> boo
         bus = grid.bus(converter.bus("IBUS"), converter.where).number
         load = add_load(grid, record, bus, "D", end, complex(taken, 0.0), q_free=True)
         load.set_v, load.set_q = _set_points(converter, taken)
+        if load.set_v is not None and converter.bus("REMOT", 0) not in (0, bus):
+            load.set_v = grid.buses[bus].v
+            what = "VSC converter that regulates another bus: holds the stored voltage of its own"
+            report.assume(what, converter.where)
         loads.append(load)
     row: dict[str, float | str] = {"vdc_kv": volts, "r_ohm": record.number("RDC", 0.0)}
     for end, converter in (("from", gives), ("to", holds)):
@@ -55,10 +59,6 @@ def _read(record: Record, raw: RawFile, grid: StaticGrid, report: Report) -> boo
         # PWF: 0 reduces the active power alone where a rating is exceeded, 1 the reactive power alone
         row[f"{end}_priority"] = "p" if converter.number("PWF", 1.0) >= 0.5 else "q"
         row[f"{end}_loss_mw"] = _losses(converter, current)
-        if row[f"{end}_keeps"] == "v" and converter.whole("REMOT", 0) not in (0, converter.bus("IBUS")):
-            report.assume(
-                "VSC converter that regulates another bus keeps the voltage of its own", converter.where
-            )
     of_power, of_voltage = ((_rating(c, "SMAX"), _rating(c, "IMAX")) for c in (gives, holds))
     name = record.text("NAME")
     grid.links.append(StaticVsc(name, record.where, (loads[0], loads[1]), row, (of_power, of_voltage)))

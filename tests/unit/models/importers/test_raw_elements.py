@@ -291,8 +291,34 @@ def test_a_shunt_facts_device_holds_its_voltage_from_a_flat_start(
     q = next(row for row in imported.case.loads if row.name.startswith("F")).Q_mvar
     v = abs(solve_powerflow(imported.case).voltage(3))
     assert (v == pytest.approx(0.98, abs=1e-9)) is holds
-    assert (abs(q) == pytest.approx(most)) is not holds
+    assert (abs(q) == pytest.approx(most * v)) is not holds  # a current: MVA at unity voltage
     assert any("gives its SHMX" in text for text in imported.report.assumed) is not holds
+
+
+SVC = "'{name}',3,0,1,0,0,0.98,{most},0,0.9,1.1,1.0,0,0.05,100,1,0,0,0,{regulates},''"
+HEAVY = ["3,'X',1,1,1,60.0,30.0,0,0,0,0,1,1,0"]
+
+
+def test_a_facts_device_holds_the_voltage_beside_one_at_its_limit(tmp_path: Path) -> None:
+    pair = [SVC.format(name=n, most=most, regulates=0) for n, most in (("A", 5.0), ("B", 9999.0))]
+    imported = of_text(tmp_path, raw_grid(33, extra={"FACTS": pair, "load": HEAVY}))
+    assert abs(solve_powerflow(imported.case).voltage(3)) == pytest.approx(0.98, abs=1e-9)
+    limited, other = (row.Q_mvar for row in imported.case.loads if row.name.startswith("F"))
+    assert sorted((limited, other))[1] == pytest.approx(-5.0 * 0.98, abs=1e-9)
+    one = [SVC.format(name="B", most=9999.0, regulates=0)]
+    alone = of_text(tmp_path, raw_grid(33, extra={"FACTS": one, "load": HEAVY})).case
+    assert limited + other == pytest.approx(next(q.Q_mvar for q in alone.loads if q.name[0] == "F"), abs=1e-7)
+
+
+def test_what_regulates_another_bus_holds_the_stored_voltage_of_its_own(tmp_path: Path) -> None:
+    """Of a FACTS device and of a unit, where the stored voltages are no solution."""
+    facts = [SVC.format(name="A", most=9999.0, regulates=2)]
+    text = raw_grid(33, extra={"FACTS": facts, "load": HEAVY})
+    imported = of_text(tmp_path, text.replace("99,-99,1.02,0,150", "99,-99,1.07,3,150"))
+    flow = solve_powerflow(imported.case)
+    assert (abs(flow.voltage(1)), abs(flow.voltage(3))) == pytest.approx((1.02, 1.02), abs=1e-9)
+    own = "that regulates another bus: holds the stored voltage of its own"
+    assert imported.report.assumed[f"unit {own}"] == imported.report.assumed[f"FACTS device {own}"] == 1
 
 
 def test_a_series_facts_device_brings_its_scheduled_power(tmp_path: Path) -> None:
