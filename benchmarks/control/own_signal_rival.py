@@ -1,11 +1,10 @@
 """The best own-signal rival of a design, by a longer search than that of `certify --worth`.
 
-Run `python benchmarks/control/own_signal_rival.py [NAME] [--starts 7] [--perturbed 5] [--wired] [--out
+Run `python benchmarks/control/own_signal_rival.py [NAME] [--starts 3] [--minutes 20] [--wired] [--out
 FILE.json]`: every actuator sees its own machine alone; order, effort, points and what they ask are those of
-the design, and so are the latencies of all signals, unless they are `--wired`: neither late nor lost. Random
-starts are searched to their ends by L-BFGS, then by Newton steps on an ever sharper worst damping. Then the
-best is perturbed and searched again, because most random starts end with an eigenvalue on the imaginary
-axis. A row each. At the end the best, on the full models, also with all signals late, with each lost and
+the design, and so are the latencies of all signals, unless they are `--wired`: neither late nor lost. The
+search is that of the package, with more steps, from the design's controller with its own signals alone and
+from first guesses. At the end the best, on the full models, also with all signals late, with each lost and
 with each twice as large: what a link would have to add.
 """
 
@@ -15,82 +14,21 @@ import argparse
 import time
 from collections import defaultdict
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from interarea.cosim.designs.design_file import DesignTable, judge, load_design
-from interarea.cosim.designs.family import family_plants
-from interarea.cosim.designs.worth import clearing_change, rival_table
+from interarea.cosim.designs.design_tables import StageTable
+from interarea.cosim.designs.worth import clearing_change, design_rival, rival_table
+from interarea.design.controllers.bundled import shipped_controller
 from interarea.design.controllers.controller import Controller
-from interarea.design.linear.linearise import with_input
-from interarea.design.robust.design import (
-    _descend,
-    _descend_briefly,
-    _stable_start,
-    _with_washout,
-    balanced_parameters,
-)
-from interarea.design.robust.design_models import build_objective
-from interarea.design.robust.newton import newton_descent
-from interarea.design.robust.smoothed_objective import Array, Objective
-from interarea.design.robust.stages import stabilised
 from interarea.fmu_build.write.cache import default_cache
 from interarea.models.threads import one_thread
 
-RHO = (30.0, 100.0, 300.0, 900.0)  #: how closely the smoothed worst follows the worst, one after the other
-ROUNDS, STEPS = 8, 6  #: of Newton steps at each
-GAINED = 2e-4  #: by a round, or the next value of `RHO` follows
+RHO = (100.0, 300.0, 900.0)  #: how closely the smoothed worst follows the worst, one after the other
 #: first letter of a condition -> what it is; the others have all signals late
 _KINDS = {"N": "nothing", "L": "one lost", "x": "one doubled"}
-
-
-def searched(objective: Objective, start: Array, rounds: int) -> Array:
-    """Return where a start ends: L-BFGS of so many rounds, then Newton steps at each of `RHO`."""
-    smooth = replace(objective, rho=100.0)
-    theta, _ = stabilised(smooth, start, _descend_briefly)
-    theta, _ = _descend(smooth, theta, rounds)
-    for rho in RHO:
-        sharp = replace(objective, rho=rho)
-        for _ in range(ROUNDS):
-            stepped, _ = newton_descent(sharp, theta, STEPS, balanced=balanced_parameters)
-            gained = sharp.value(theta) - sharp.value(stepped)
-            theta = stepped if gained > 0.0 else theta
-            if not gained > GAINED:
-                break
-    return theta
-
-
-def perturbed(objective: Objective, theta: Array, seed: int) -> Array:
-    """Return a controller near another, stable in every model, with somewhat other gains and poles."""
-    rng = np.random.default_rng(seed)
-    A, B, C, D = (M.copy() for M in objective.unpack(theta))
-    size = 0.3 if seed % 2 else 0.7
-    for states in objective.parts:
-        C[:, states] *= np.exp(size * rng.normal() - 0.3)
-        A[np.ix_(states, states)] *= np.exp(0.3 * size * rng.normal(size=(len(states), len(states))))
-    start = objective.pack(A, B, C, D)
-    for _ in range(40):
-        if objective.worst(start)[0] < 1e-6:
-            break
-        A, B, C, D = objective.unpack(start)
-        start = objective.pack(A, B, 0.7 * C, 0.7 * D)
-    return start
-
-
-def ends(objective: Objective, starts: int, again: int) -> Iterator[tuple[str, Array]]:
-    """Yield what each start was and where it ended; perturbed ones begin at the best so far."""
-    sharp = replace(objective, rho=RHO[-1])
-    best: Array | None = None
-    for seed in range(1, starts + 1):
-        theta = searched(objective, _stable_start(objective, np.random.default_rng(seed)), 4)
-        best = theta if best is None or sharp.value(theta) < sharp.value(best) else best
-        yield f"random {seed}", theta
-    if best is None:
-        return
-    for seed in range(again):
-        yield f"perturbed {seed}", searched(objective, perturbed(objective, best, seed), 1)
 
 
 def judged(table: DesignTable, rival: Controller, conditions: tuple[str, ...]) -> Iterator[str]:
@@ -112,29 +50,27 @@ def main() -> None:
     """Search from every start, then judge the best."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("name", nargs="?", default="new_england")
-    parser.add_argument("--starts", type=int, default=7)
-    parser.add_argument("--perturbed", type=int, default=5)
+    parser.add_argument("--starts", type=int, default=3, help="first guesses")
+    parser.add_argument("--minutes", type=float, default=20.0, help="of processor time for the search")
     parser.add_argument("--wired", action="store_true", help="no latency in the search")
     parser.add_argument("--out", type=Path)
     options = parser.parse_args()
-    table = rival_table(load_design(options.name))
-    late = tuple(code for code in table.conditions if code != "N")
-    table = table.model_copy(update={"conditions": ("N",)}) if options.wired else table
+    design = load_design(options.name)
+    prompt = tuple(code for code in design.conditions if not code.startswith("s"))
+    conditions = prompt if options.wired else design.conditions
+    searched = design.model_copy(update={"conditions": conditions, "starts": options.starts})
+    each_s = 60.0 * options.minutes / (1 + rival_table(searched).starts)
+    stage = StageTable(rho=RHO, longest_s=each_s)
+    searched = searched.model_copy(update={"stage": (stage,)})
+    table, late = rival_table(searched), rival_table(design).conditions
+
+    def tell(step: str, share: float, text: str) -> None:
+        print(f"{time.process_time():6.0f} s {step} {100.0 * share:3.0f} % {text}", flush=True)
+
     with one_thread():
-        plants, spec = family_plants(table, default_cache()), table.spec()
-        objective = build_objective(
-            {name: plant.searched for name, plant in plants.items()}, spec, table.grid.omega_b
-        )
-        sharp, rows = replace(objective, rho=RHO[-1]), []
-        for what, theta in ends(objective, options.starts, options.perturbed):
-            rows.append((sharp.value(theta), theta))
-            print(f"{what:14s} {rows[-1][0]:8.4f} {time.process_time():6.0f} s", flush=True)
-        theta = balanced_parameters(objective, min(rows, key=lambda row: row[0])[1])
-        guard = None if table.guard is None else table.guard.guard()
-        system = with_input(_with_washout(objective.unpack(theta), spec), guard.follows if guard else None)
-        rival = Controller(table.name, system, table.limit_pu, {}, guard=guard)
-        own = [f"{kind}:{signal}" for kind in ("L", "x2") for signal in spec.signals]
-        for row in judged(table, rival, ("N", *late, *own)):
+        rival = design_rival(searched, shipped_controller(options.name), default_cache(), progress=tell)
+        own = [f"{kind}:{signal}" for kind in ("L", "x2") for signal in table.signals]
+        for row in judged(table, rival, (*late, *own)):
             print(row)
         if table.acceptance is not None:
             change = clearing_change(table, rival, default_cache())

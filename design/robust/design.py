@@ -20,7 +20,6 @@ from interarea.models.errors import UserError
 from interarea.models.threads import one_blas_thread
 
 from ..errors import InfeasibleDesign
-from ..linear.matrices import ZERO_EIGENVALUE
 from ..linear.norms import gramian_factor
 from ..reduction.gramians import projections
 from .design_models import build_objective, tightened
@@ -97,7 +96,7 @@ def design_robust(
             value = objective(theta)[0]
             report(what, 1.0, value)
     rightmost, worst = objective.worst(theta)
-    if not rightmost < ZERO_EIGENVALUE:
+    if not objective.stable(theta):
         raise InfeasibleDesign(
             f"robust design: no controller of order {spec.order} stabilised all {len(objective.models)} "
             f"design models in {spec.starts} starts (largest real part {rightmost:.3g} 1/s); raise the "
@@ -204,7 +203,7 @@ def _stable_start(objective: Objective, rng: np.random.Generator) -> Array:
     A, B, C, _ = objective.unpack(theta)
     for _ in range(60):
         theta = objective.pack(A, B, C)
-        if objective.worst(theta)[0] < 0.0 and objective(theta)[0] < 1.0:
+        if objective.stable(theta) and objective(theta)[0] < 1.0:
             break
         C = 0.7 * C
     return objective.pack(A, B, C)

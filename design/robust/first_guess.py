@@ -60,13 +60,15 @@ def _moves(objective: Objective, poles: Array) -> tuple[Array, Array]:
         values, right = np.linalg.eig(model.A)
         left = np.linalg.inv(right)
         (v,), (dv,) = objective.excess(values[None], [model])
-        for k in np.flatnonzero((v > v.max() - REGARDED) & (values.imag > 0.0)):
+        # v, then w, of every eigenvalue
+        for row in np.flatnonzero((v > v.max() - REGARDED) & (np.tile(values, 2).imag > 0.0)):
+            k = row % values.size
             states = 1.0 / (values[k] + poles)
             if objective.dc_block:
                 states = states - 1.0 / poles
             residues = np.outer(left[k] @ model.B, model.C @ right[:, k])
-            moves.append((dv[k] * states[:, None, None] * residues).real)
-            worst.append(v[k])
+            moves.append((dv[row] * states[:, None, None] * residues).real)
+            worst.append(v[row])
     return np.array(moves), np.array(worst)
 
 

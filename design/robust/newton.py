@@ -223,29 +223,29 @@ def expansion(objective: Objective, theta: Array, scale: Array) -> Expansion:
                 continue
             values, right, left = system
             (excess,), (dv,) = objective.excess(values[None], [group[k]])
-            # of a pair only one is looked at, with the weight of both
-            counts = np.where(values.imag > 0.0, 2.0, 1.0)
+            # v, then w, of every eigenvalue; of a pair only one is looked at, with the weight of both
+            n, both = values.size, np.tile(values, 2)
+            counts = np.where(both.imag > 0.0, 2.0, 1.0)
             weight = counts * np.exp(rho * (excess - top)) / total
-            selected = np.flatnonzero((excess > within) & (values.imag >= 0.0))
+            selected = np.flatnonzero((excess > within) & (both.imag >= 0.0))
             if not selected.size:
                 continue
             reach = (left[:, :size] @ group[k].B).astype(complex)
             seen = group[k].C @ right[:size]
-            outs, ins = moves.sides(
-                reach[selected], left[selected, size:], seen[:, selected], right[size:, selected]
-            )
+            at = selected % n
+            outs, ins = moves.sides(reach[at], left[at, size:], seen[:, at], right[size:, at])
             first = moves.first(outs, ins)
             result.append((excess[selected], (dv[selected, None] * first).real * scale, counts[selected]))
-            feed += ((reach[selected].T * (weight * dv)[selected]) @ seen[:, selected].T).real
+            feed += ((reach[at].T * (weight * dv)[selected]) @ seen[:, at].T).real
             heavy = np.flatnonzero(weight[selected] > 1e-7)
             if not heavy.size:
                 continue
             few = selected[heavy]
-            gap = values[few, None] - values
+            gap = both[few, None] - values
             size_of_gap = np.maximum(np.abs(gap), 1e-300)
             inverse = np.conj(gap) / size_of_gap / np.maximum(size_of_gap, APART)
-            inverse[np.arange(few.size), few] = 0.0
-            bends = np.array([objective.bends(complex(value)) for value in values[few]])
+            inverse[np.arange(few.size), few % n] = 0.0
+            bends = np.array([objective.bends(complex(both[k]), k >= n) for k in few])
             # sum over j of r_j l_j / (lambda_i - lambda_j), as the controller sees it
             all_outs, all_ins = moves.sides(reach, left[:, size:], seen, right[size:])
             resolvents = (inverse[:, None, :] * all_ins.T) @ all_outs

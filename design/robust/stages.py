@@ -11,7 +11,6 @@ import numpy as np
 
 from interarea.models.processes import processor_s
 
-from ..linear.matrices import ZERO_EIGENVALUE
 from .first_guess import first_guess
 from .newton import newton_descent
 from .smoothed_objective import Array, BandOffsets, Objective
@@ -127,7 +126,7 @@ def stabilised(
     """
     free, count = replace(objective, efforts=(), swing=None), 0
     for _ in range(STABILISING):
-        if objective.worst(theta)[0] < ZERO_EIGENVALUE or over():
+        if objective.stable(theta) or over():
             break
         theta, used = descend(free, theta)
         count += used

@@ -10,7 +10,13 @@ import pytest
 from interarea.design.robust.design import _descend, balanced_parameters
 from interarea.design.robust.first_guess import _moves, first_guess
 from interarea.design.robust.newton import Expansion, expansion, newton_descent
-from interarea.design.robust.smoothed_objective import BandOffsets, DesignModel, EffortGrid, Objective
+from interarea.design.robust.smoothed_objective import (
+    STEEP,
+    BandOffsets,
+    DesignModel,
+    EffortGrid,
+    Objective,
+)
 from interarea.design.robust.stages import Stage, staged_search, with_best_gain
 
 #: two parts of two states, each with a signal and an actuator of its own
@@ -158,7 +164,9 @@ def test_an_operating_point_that_is_asked_more_is_that_much_worse(objective: Obj
         for k, model in enumerate(group):
             omega = np.abs(np.linalg.eigvals(loops[k]).imag)
             extra = asked(omega)[0] if model.name.startswith("base") else np.zeros(omega.size)
-            assert np.sort(after[k] - before[k]) == pytest.approx(np.sort(extra), abs=1e-9)
+            added = np.split(after[k] - before[k], 2)
+            assert np.sort(added[0]) == pytest.approx(np.sort(extra), abs=1e-9)
+            assert added[1] == pytest.approx(0.0, abs=1e-9)  # stability is asked everywhere
     step, direction = 1e-6, np.random.default_rng(9).normal(size=theta.size)
     ahead, behind = (raised.value(theta + s * direction) for s in (step, -step))
     assert raised(theta)[1] @ direction == pytest.approx((ahead - behind) / (2 * step), rel=1e-4)
@@ -215,6 +223,33 @@ def test_a_stage_without_time_leaves_what_it_got(objective: Objective) -> None:
     both, count = _staged(objective, (first, Stage(rho=(40.0, 80.0), steps=20, longest_s=1e-9)))
     assert objective.value(both) == pytest.approx(objective.value(only), abs=1e-12)
     assert count == counted + 1  # the value from which no step was made
+
+
+def test_a_search_ends_stable_and_at_the_best_of_all_controllers_that_a_grid_has() -> None:
+    """What damps the slow mode drives the fast one, of which nothing is asked but to decay."""
+
+    def pair(damping: float, omega: float) -> np.ndarray:
+        return omega * np.array([[-damping, 1.0], [-1.0, -damping]])
+
+    A = np.block([[pair(0.03, 3.0), np.zeros((2, 2))], [np.zeros((2, 2)), pair(0.05, 9.0)]])
+    B, C = np.array([[1.0], [0.0], [1.0], [0.0]]), np.array([[1.0, 0.0, -4.0, 0.0]])
+    lenient = BandOffsets((0.0, 5.0, 8.0), (0.0, 0.0, -0.6))
+    bounds = {"offsets": lenient, "rho": 900.0, "slowest_pole": 0.3, "fastest_pole": 60.0}
+    objective = Objective([DesignModel("base: N", A, B, C)], 1, **bounds)
+    theta, _ = _staged(objective, (Stage(rho=(60.0, 300.0, 900.0)),))
+    (loop,) = objective.closed_loops(theta)
+    reached = np.linalg.eigvals(loop)
+    assert reached.real.max() < 0.0
+
+    def worst(roots: np.ndarray) -> float:
+        damping = -roots.real / np.abs(roots)
+        return float(max((lenient(np.abs(roots.imag))[0] - damping).max(), (-STEEP * damping).max()))
+
+    poles, gains = -np.geomspace(0.5, 20.0, 60), np.geomspace(0.1, 20.0, 60)
+    loops = [np.block([[A, g * B], [C, np.full((1, 1), pole)]]) for pole in poles for g in (*gains, *-gains)]
+    best = min(worst(roots) for roots in np.linalg.eigvals(np.array(loops)))
+    assert best < -0.15  # without control -0.03
+    assert worst(reached) < best + 1e-3
 
 
 def test_the_value_alone_is_that_with_the_gradient(objective: Objective) -> None:

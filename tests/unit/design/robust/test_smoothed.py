@@ -9,7 +9,13 @@ import pytest
 from scipy.linalg import solve_continuous_lyapunov
 
 from interarea.design.robust.design import balanced_parameters
-from interarea.design.robust.smoothed_objective import BandOffsets, DesignModel, EffortGrid, Objective
+from interarea.design.robust.smoothed_objective import (
+    STEEP,
+    BandOffsets,
+    DesignModel,
+    EffortGrid,
+    Objective,
+)
 
 
 @pytest.fixture(scope="module")
@@ -128,18 +134,31 @@ def test_value_tends_to_the_worst_excess_as_rho_grows(objective: Objective) -> N
     assert sharp(theta)[0] == pytest.approx(max(excess), abs=1e-3)
 
 
-def test_what_grows_is_worse_than_all_that_decays_however_little_a_band_asks(objective: Objective) -> None:
-    """With an offset of -0.4 at 30 rad/s a pair that grows counted as better than one damped by 0.05."""
+@pytest.mark.parametrize("omega", [0.05, 4.0, 30.0])
+def test_what_a_root_counts_has_no_jump_and_none_on_the_axis_counts_less_than_0(
+    objective: Objective, omega: float
+) -> None:
+    """With an offset of -0.4 at 30 rad/s a pair on the axis counted -0.4, and 0 a hair beyond: the search
+    ran into that step and stayed."""
     lenient = replace(objective, offsets=BandOffsets((0.0, 16.0, 30.0), (0.0, 0.0, -0.4)))
-    for growth in (1e-5, 1e-3, 0.1, 1.0):
-        (v, *_), slope = lenient.excess(np.array([growth + 30j]))
-        assert v == pytest.approx(growth / abs(growth + 30j) + growth**2)
-        assert v > lenient.excess(np.array([-0.02 + 30j]))[0][0] + 0.39
+
+    def counted(growth: float) -> tuple[float, complex]:
+        both, slopes = lenient.excess(np.array([growth + 1j * omega]))
+        return float(both.max()), complex(slopes[both.argmax()])
+
+    growths = np.linspace(-0.3, 0.3, 6001)
+    counts = np.array([counted(growth)[0] for growth in growths])
+    assert np.diff(counts).min() > 0.0
+    steepest = STEEP * 1e-4 / max(omega, 0.2)
+    assert np.diff(counts).max() < 1.01 * steepest
+    assert counts[growths > -1e-9].min() > -1e-9
+    for growth in (-0.29, -1e-3, 1e-5, 1e-3, 0.1, 1.0):
         step = 1e-7
         for turn in (1.0, 1j):
-            ends = [lenient.excess(np.array([growth + 30j + d * turn]))[0][0] for d in (step, -step)]
-            moved = (slope * turn).real[0]  # slope: dv/da - j dv/db
-            assert (ends[0] - ends[1]) / (2 * step) == pytest.approx(moved, abs=1e-6)
+            z = growth + 1j * omega
+            ends = [lenient.excess(np.array([z + d * turn]))[0].max() for d in (step, -step)]
+            moved = (counted(growth)[1] * turn).real  # slope: d/da - j d/db
+            assert (ends[0] - ends[1]) / (2 * step) == pytest.approx(moved, abs=2e-6)
 
 
 def test_a_mask_fixes_the_structure(objective: Objective) -> None:
