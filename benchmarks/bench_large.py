@@ -51,16 +51,14 @@ from interarea.models.case.events import events_of
 from interarea.models.importers.file import import_grid
 from interarea.models.importers.imported import ImportOptions
 
+WECC_240 = ("WECC240/240busWECC_2018_PSS32_fixed_shunts.raw", "WECC240/240busWECC_2018_PSS.dyr", 4005, 0.115)
+MODELLED = "WECC 240, converters modelled"
 #: RAW and DYR under FOLDER, the fault's bus, GridKit's CPU seconds
 GRIDS = {
     "New England": ("IEEE39/IEEE39.raw", "IEEE39/IEEE39.dyr", 16, 0.011),
     "ACTIVSg200": ("ACTIVSg200/ACTIVSg200.RAW", "ACTIVSg200/ACTIVSg200_dynamics.dyr", 149, 0.029),
-    "WECC 240": (
-        "WECC240/240busWECC_2018_PSS32_fixed_shunts.raw",
-        "WECC240/240busWECC_2018_PSS.dyr",
-        4005,
-        0.115,
-    ),
+    "WECC 240": WECC_240,
+    MODELLED: WECC_240,
     "ACTIVSg2000": (
         "ACTIVSg2000/ACTIVSg2000.RAW.xz",
         "ACTIVSg2000/ACTIVSg2000_dynamics.dyr",
@@ -69,10 +67,10 @@ GRIDS = {
     ),
 }
 STOP_S = 10.0
-COMMUNICATION_S = 1.0 / 24.0  #: between the points that are compared
+COMMUNICATION_S = 1.0 / 8.0  #: between the points that are compared
 TIMED_S = 0.25  #: communication step of runs that are timed: GridKit's time is without output
 REFERENCE_S = 0.0005
-STEPS_S = (0.001, 1.0 / 240.0, 1.0 / 168.0, 1.0 / 144.0)
+STEPS_S = (0.001, 1.0 / 240.0, 1.0 / 184.0, 1.0 / 168.0, 1.0 / 144.0)
 REPEAT = 9
 ERROR = 1e-5  #: most of speeds and voltages at the step with which runs go side by side
 BUSES = 50  #: whose voltages are looked at
@@ -112,6 +110,13 @@ def as_impedances(case: Case) -> Case:
     return case.model_copy(update={"loads": tuple(q.model_copy(update=change) for q in case.loads)})
 
 
+def imported(name: str, folder: Path) -> Case:
+    """Return a grid with all loads as impedances; converters as constant currents, or as in their records."""
+    raw, dyr, _, _ = GRIDS[name]
+    options = ImportOptions(converters="model" if name == MODELLED else "current", release_limits=True)
+    return as_impedances(import_grid(folder / raw, dyr=folder / dyr, options=options).case)
+
+
 def of_power(case: Case, share: float) -> Case:
     """Every load by that share constant power, the rest impedance."""
     mix = (1.0 - share, 0.0, share)
@@ -121,11 +126,8 @@ def of_power(case: Case, share: float) -> Case:
 
 def power_price(name: str, folder: Path, share: float, step_s: float = 1.0 / 240.0) -> float:
     """Return the cost of a run with loads of constant power over that of one with impedances."""
-    raw, dyr, bus, _ = GRIDS[name]
-    case = import_grid(
-        folder / raw, dyr=folder / dyr, options=ImportOptions(converters="current", release_limits=True)
-    ).case
-    case = as_impedances(case)
+    bus = GRIDS[name][2]
+    case = imported(name, folder)
     events = fault_at(bus)
     speeds = [f"{m.name}_dw" for m in case.machines]
     slaves = [PlantSlave(c, events, step_s) for c in (case, of_power(case, share))]
@@ -151,12 +153,9 @@ def side_by_side(case: Case, bus: int, step_s: float) -> float:
 
 def measured(name: str, folder: Path) -> dict[str, Any]:
     """Everything about one grid."""
-    raw, dyr, bus, published = GRIDS[name]
+    bus, published = GRIDS[name][2:]
     begin = time.process_time()
-    case = import_grid(
-        folder / raw, dyr=folder / dyr, options=ImportOptions(converters="current", release_limits=True)
-    ).case
-    case = as_impedances(case)
+    case = imported(name, folder)
     row: dict[str, Any] = {"grid": name, "buses": len(case.buses), "machines": len(case.machines)}
     row["import_s"] = time.process_time() - begin
     events = fault_at(bus)

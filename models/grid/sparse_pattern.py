@@ -62,9 +62,9 @@ class SparsePattern:
 def sparse_pattern(nodes: int, ends: npt.ArrayLike, active: npt.ArrayLike) -> SparsePattern:
     """Return the pattern of a network of `nodes` nodes with branches at `ends` (branches, 2).
 
-    active : nodes with currents and required voltages, at least one. Order: minimum degree, with each branch
-    of the elimination tree contiguous, so that the data of a row are near it in memory; nodes on no path from
-    an active one to the root come first.
+    active : nodes with currents and required voltages, at least one. Order: minimum degree, then by height
+    in the elimination tree: rows of one height need nothing of each other, and a processor works on several
+    at a time. Nodes on no path from an active one to the root come first.
     """
     order, rows = _minimum_degree(nodes, np.asarray(ends, dtype=int).reshape(-1, 2))
     above = _next_eliminated(order, rows)
@@ -73,13 +73,17 @@ def sparse_pattern(nodes: int, ends: npt.ArrayLike, active: npt.ArrayLike) -> Sp
     for node in order:
         if marked[node] and above[node] >= 0:
             marked[above[node]] = True
-    final = _branch_by_branch(order, above)
-    final = np.concatenate([final[~marked[final]], final[marked[final]]])
+    height = np.zeros(nodes, dtype=np.int64)  # in the part of the tree that is active, or is not
+    for node in order:
+        if above[node] >= 0 and marked[node] == marked[above[node]]:
+            height[above[node]] = max(height[above[node]], height[node] + 1)
+    eliminated = np.array(order, dtype=np.int64)
+    final = eliminated[np.lexsort((height[eliminated], marked[eliminated]))]
     row = np.empty(nodes, dtype=np.int64)
     row[final] = np.arange(nodes)
     first = int(np.count_nonzero(~marked))
     counts = np.array([len(r) for r in rows], dtype=np.int64)
-    below = np.repeat(row[np.array(order, dtype=np.int64)], counts)
+    below = np.repeat(row[eliminated], counts)
     column = row[np.concatenate([*rows, np.zeros(0, dtype=np.int64)])]
     upper = sparse.csr_matrix((np.ones(len(below)), (below, column)), shape=(nodes, nodes))
     lower = upper.T.tocsr()
@@ -107,22 +111,6 @@ def _next_eliminated(order: list[int], rows: list[IntArray]) -> list[int]:
         if len(row):
             above[node] = int(row[np.argmin(place[row])])
     return above
-
-
-def _branch_by_branch(order: list[int], above: list[int]) -> IntArray:
-    """Return the nodes in postorder of the tree `above`; `order` has each node before the one above it."""
-    below = [1] * len(order)  # nodes of the branch that ends at each
-    for node in order:
-        if above[node] >= 0:
-            below[above[node]] += below[node]
-    final = np.empty(len(order), dtype=np.int64)
-    free = [*([0] * len(order)), len(order) - 1]  # last place left below each node; at the end: for roots
-    for node in reversed(order):
-        place = free[above[node]]
-        free[above[node]] -= below[node]
-        free[node] = place - 1
-        final[place] = node
-    return final
 
 
 def _minimum_degree(nodes: int, ends: IntArray) -> tuple[list[int], list[IntArray]]:

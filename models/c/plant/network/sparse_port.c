@@ -5,7 +5,7 @@
 
 enum { MOST = 12, ENOUGH = 5, MOST_STEPS = 40 };
 static const double ACCURACY = 1e-11;   /* of the voltages, estimated error relative to the largest */
-static const double STEP_ACCURACY = 3e-8; /* the same within a step of the integrator: below 1e-7 of what speeds do */
+static const double STEP_ACCURACY = 1e-7; /* the same within a step of the integrator, whose own error is 1e-5 */
 static const double ROUNDING = 1e-13;   /* what a further step moves when all is said */
 static const double SLOW = 0.3;         /* contraction above which other slopes are wanted */
 static const double SLOWER = 0.004;     /* contraction above which they are wanted when these have been used enough */

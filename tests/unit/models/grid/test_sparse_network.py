@@ -198,6 +198,17 @@ def test_pattern_holds_all_that_elimination_fills() -> None:
             assert (rows[part][k], column) == (i, j) and original[i, j]
 
 
+def test_rows_that_wait_for_as_many_others_lie_together() -> None:
+    """Of the rows of a solution each comes after those that wait for fewer: neighbours seldom wait."""
+    pattern = network_pattern(mesh(20, 6), np.zeros((0, 18)))
+    assert pattern is not None
+    wait = np.zeros(len(pattern.row), dtype=int)
+    for k in range(pattern.first, len(wait)):
+        before = pattern.lower_column[pattern.needed[k] : pattern.lower[k + 1]]
+        wait[k] = 1 + max(wait[before], default=0)
+    assert np.all(np.diff(wait[pattern.first :]) >= 0) and wait[-1] < len(wait) // 4
+
+
 def test_the_cheaper_form_is_taken() -> None:
     """Few machines: dense; more: reduced; many on a wide grid: sparse; what is counted is done."""
     assert network_pattern(load_case("nets-nyps"), np.zeros((0, 18))) is None
