@@ -206,7 +206,7 @@ def test_rows_that_wait_for_as_many_others_lie_together() -> None:
     for k in range(pattern.first, len(wait)):
         before = pattern.lower_column[pattern.needed[k] : pattern.lower[k + 1]]
         wait[k] = 1 + max(wait[before], default=0)
-    assert np.all(np.diff(wait[pattern.first :]) >= 0) and wait[-1] < len(wait) // 4
+    assert np.all(np.diff(wait[pattern.first :]) >= 0) and wait[-1] < len(wait) // 2
 
 
 def test_the_cheaper_form_is_taken() -> None:
