@@ -138,9 +138,9 @@ def test_a_loop_is_asked_for_what_the_stabilizers_give_at_each_point(weak: WeakM
 @pytest.mark.slow
 @pytest.mark.timeout(1200)  # beyond five minutes from an empty cache beside others
 def test_both_are_designed_where_local_stabilizers_miss_what_is_asked(
-    interarea: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    interarea: Any, few_points: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """One local stabilizer, one actuator, two signals, one fault; more take minutes."""
+    """One local stabilizer, one actuator, two signals, one fault, four points; more take minutes."""
     monkeypatch.setattr(faults, "LIMITS_PU", (0.05,))
     monkeypatch.setattr(local_stabilizers, "MOST", 1)
     case = load_case("two-area-thesis")

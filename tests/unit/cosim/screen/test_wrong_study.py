@@ -98,6 +98,8 @@ def test_a_grid_of_five_areas_has_its_own_detector(tmp_path: Path, monkeypatch: 
     monkeypatch.setattr(detector_size, "PER_SIGNAL", (5,))  # what the whole choice comes to
     monkeypatch.setattr(detector_design, "MOST_BUSES", 2)
     monkeypatch.setattr(detector_design, "MOST_MACHINES", 6)
+    monkeypatch.setattr(detector_design, "_SEEN", (0.95,))
+    monkeypatch.setattr(detector_design, "_BETWEEN", (1.025,))
     table = load_design("nets_nyps")
     subject = Subject("nets_nyps", load_controller("nets_nyps"), table.grid, fault_place(table))
     asked = {"kinds": ("times 10",), "disturbances": ("bus fault",), "one_point": True}
