@@ -7,6 +7,7 @@ count by the sampling rates of the configuration.
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +24,7 @@ _TYPES: dict[str, tuple[str, float]] = {
     "FLOAT32": ("<f4", float(np.finfo("<f4").tiny)),
 }
 _MISSING_ASCII = 99999.0
+_SPAN = 0.01  # of a record: a difference between its stamps and its rates
 _MISSING_STAMP = 0xFFFFFFFF
 _SECTION = re.compile(rb"-+\s*file type:\s*(\w+)(?:\s+(\w+))?(?:\s*:\s*\d+)?\s*-+\s*\r?\n", re.IGNORECASE)
 
@@ -56,7 +58,7 @@ class Comtrade:
     time_s: Array
     analog: Array
     status: npt.NDArray[np.bool_]
-    stamped: bool
+    timed_by: str
     samples: tuple[int, int]  #: number of the last one in the data, and by the configuration
 
 
@@ -82,9 +84,12 @@ class _Lines:
         if text == "" and default is not None:
             return default
         try:
-            return float(text)
+            value = float(text)
         except ValueError:
-            raise self.wrong(wanted, text) from None
+            value = math.nan
+        if not math.isfinite(value):
+            raise self.wrong(wanted, text)
+        return value
 
     @property
     def ended(self) -> bool:
@@ -138,10 +143,10 @@ def _read(path: Path, text: str, data: bytes) -> Comtrade:
     )
     values = values * np.array([c.a for c in analogs]) + np.array([c.b for c in analogs])
     values = values * np.array([c.ratio for c in analogs])
-    time_s, stamped = _times(path, numbers, stamps, rates, factor * _tick_s(start))
+    time_s, timed_by = _times(path, numbers, stamps, rates, factor * _tick_s(start))
     samples = (int(np.nanmax(numbers, initial=len(values))), int(rates[-1][1]))
     return Comtrade(
-        *(head[0], head[1], start, frequency_hz, analogs, flags, time_s, values, status, stamped, samples),
+        *(head[0], head[1], start, frequency_hz, analogs, flags, time_s, values, status, timed_by, samples),
     )
 
 
@@ -197,7 +202,8 @@ def _binary(
             f"{kind} sample of {analogs} analog and {flags} status channels"
         )
     table = np.frombuffer(data, row)
-    values = table["a"].astype(float)
+    with np.errstate(invalid="ignore"):  # of words that are no number
+        values = table["a"].astype(float)
     values[values == missing] = np.nan
     bits = (table["d"][:, :, None] >> np.arange(16, dtype=np.uint16)) & 1
     stamps = np.where(table["t"] == _MISSING_STAMP, np.nan, table["t"].astype(float))
@@ -206,8 +212,8 @@ def _binary(
 
 def _times(
     path: Path, numbers: Array, stamps: Array, rates: list[tuple[float, ...]], tick_s: float
-) -> tuple[Array, bool]:
-    """Return the time of each sample, by the rates where there are any, and whether it is by the stamps.
+) -> tuple[Array, str]:
+    """Return the time of each sample, by the rates where there are any, and by what it is, in words.
 
     By the rates a number that is not there is a missing sample, if the numbers rise.
     """
@@ -222,7 +228,11 @@ def _times(
                 )
             ends.append(max(last - 1.0, ends[-1]))
             times.append(times[-1] + (ends[-1] - ends[-2]) / rate)
-        return np.interp(place, ends, times), False
+        time_s = np.interp(place, ends, times)
+        span_s = float(stamps[-1] - stamps[0]) * tick_s
+        if not span_s > 0.0 or abs(time_s[-1] - span_s) <= _SPAN * span_s:
+            return time_s, "its sampling rates"
+        return time_s, f"its sampling rates, {time_s[-1]:.6g} s; its time stamps have {span_s:.6g} s"
     if np.isnan(stamps).any():
         raise RecordError(f"{path}: samples without a time stamp, and no sampling rate; wanted: one of them")
-    return (stamps - stamps[0]) * tick_s, True
+    return (stamps - stamps[0]) * tick_s, "its time stamps"

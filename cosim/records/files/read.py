@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 FILL_S = 0.5  #: longest gap that is interpolated
 PIECE_ROWS = 1 << 14  #: that are read at a time: 20 MB of 150 channels
 _LEAST_HZ, _MOST_HZ = 40.0, 70.0  # of a grid's frequency, well beyond what its machines stand
+#: unit -> the most that a channel can have in it, and the unit that it may have instead
+_MOST = {"kV": (2000.0, "V"), "MW": (1e6, "W"), "Mvar": (1e6, "var"), "A": (1e6, "A")}
 _NAMED = 3  # channels that a note names
 #: magnitudes that loggers write where they have no value, and the least that no measured value has
 _CODES = (*(10.0**n - 1.0 for n in range(3, 10)), 999.25, 999.9, 999.99, 9999.9, 9999.99, 32767.0, 32768.0)
@@ -299,10 +301,10 @@ def _without_dropouts(values: Array, raws: Sequence[Raw]) -> list[str]:
         there = column[np.isfinite(column)]
         if quantity == "frequency" and there.size and np.median(there) >= _LEAST_HZ:
             low, high, outside = _LEAST_HZ, _MOST_HZ, f"outside {_LEAST_HZ:g} to {_MOST_HZ:g} Hz"
-        elif quantity in ("voltage", "current"):
-            low, high, outside = 0.0, inf, "below 0"
         else:
-            continue
+            high, _ = _MOST.get(raw.channel.unit, (inf, ""))
+            low = 0.0 if quantity in ("voltage", "current") else -high
+            outside = f"outside {low:g} to {high:g} {raw.channel.unit}" if high < inf else "below 0"
         wrong = ~((column >= low) & (column <= high)) & ~np.isnan(column)
         if wrong.any():
             column[wrong] = np.nan
@@ -337,8 +339,10 @@ def _check_scales(source: str, values: Array, raws: Sequence[Raw]) -> None:
             _LEAST_HZ <= middle <= _MOST_HZ or abs(middle) < DEVIATION_HZ
         ):
             raise _wrong_scale(source, channel, f"{middle:.4g} Hz", "40 to 70 Hz, or a deviation", "mHz")
-        if channel.unit == "kV" and not middle <= 2000.0:
-            raise _wrong_scale(source, channel, f"{middle:.4g} kV", "up to 2000 kV", "V")
+        most, other = _MOST.get(channel.unit, (inf, ""))
+        if not abs(middle) <= most:
+            got, allowed = f"{middle:.4g} {channel.unit}", f"up to {most:g} {channel.unit}"
+            raise _wrong_scale(source, channel, got, allowed, other)
         if channel.quantity in ("voltage", "current") and not middle >= 0.0:
             raise _wrong_scale(source, channel, f"{middle:.4g} {channel.unit}", "a magnitude from 0", "deg")
 

@@ -42,6 +42,7 @@ _SECONDS = {
     **dict.fromkeys(("h", "hours"), 3600.0),
 }
 _DECIMAL_COMMA = re.compile(r"\s*[-+]?\d*,\d+(?:[eE][-+]?\d+)?\s*")
+_YEARS = (1900, 2200)  # of a date of a sample
 _MOST_TEXT = 0.05  # of the samples of a column: more are no number, and it is no channel
 _IEEE_SAID = "PMU csv of the IEEE form; kV are phase to ground, power is of three phases"
 _PSSE_SAID = "channels of PSS/E: FREQ as pu of {:g} Hz, powers of machines as pu of SBASE"
@@ -86,12 +87,17 @@ class Clock:
         dates = column
         if not pd.api.types.is_datetime64_any_dtype(column):
             numbers = pd.to_numeric(column, errors="coerce")
+            numbers = numbers.where(np.isfinite(numbers))
             if numbers.notna().all():
                 return np.asarray(self._since(numbers.to_numpy(dtype=float), "") * self.unit_s)
             mostly = numbers.notna().mean() > 0.5
             dates = numbers if mostly else _dates(column)
-        if dates.isna().any():
-            row = int(np.flatnonzero(dates.isna())[0])
+        wrong = np.asarray(dates.isna())
+        if not wrong.any():
+            years = pd.DatetimeIndex(dates).year
+            wrong = np.asarray((years < _YEARS[0]) | (years > _YEARS[1]))
+        if wrong.any():
+            row = int(np.flatnonzero(wrong)[0])
             raise RecordError(
                 f"{self.source}: row {skipped + row + 1} has {str(column.iloc[row])[:40]!r} for its time, "
                 "wanted: seconds or a date"
@@ -170,7 +176,7 @@ def _csv(path: Path, frequency_hz: float, rows: int | None) -> Iterator[Table]:
     header, first = _header(path, top, decimal)
     extra = top[header + 1 : first]
     names = [cell.strip() or f"column {k + 1}" for k, cell in enumerate(top[header])]
-    raws, notes = _named_columns(names, extra, frequency_hz)
+    raws, notes = _named_columns(path, names, extra, frequency_hz)
     clock = Clock(path, _time_unit_s(names[0], *(row[0] for row in extra if row)))
     form = _Form(first, len(names), _spare_cells(path, top, first, len(names)), separator, decimal)
     skipped = first
@@ -293,15 +299,11 @@ def _is_data(row: Sequence[str], decimal: str) -> bool:
 
 
 def _named_columns(
-    names: list[str], extra: list[list[str]], frequency_hz: float
+    path: Path, names: list[str], extra: list[list[str]], frequency_hz: float
 ) -> tuple[list[Raw], list[str]]:
     """Return the channels of the columns after the first, by the rows between their names and the samples."""
     if len(extra) >= 2 and _kinds(extra[0]):
-        devices = extra[2] if len(extra) > 2 else []
-        columns = range(1, len(names))
-        return [ieee_channel(_place(names, devices, k), extra[0][k], extra[1][k]) for k in columns], [
-            _IEEE_SAID
-        ]
+        return _ieee_columns(path, names, extra), [_IEEE_SAID]
     psse = [psse_channel(name, frequency_hz) for name in names[1:]]
     if sum(raw is not None for raw in psse) > len(psse) / 2:
         channels = [raw or other_channel(name) for raw, name in zip(psse, names[1:], strict=True)]
@@ -311,6 +313,18 @@ def _named_columns(
     units = _units_row(extra, len(names))
     named = zip(with_square_brackets(names[1:]), units[1:], strict=True)
     return [other_channel(n, u) for n, u in named], []
+
+
+def _ieee_columns(path: Path, names: list[str], extra: list[list[str]]) -> list[Raw]:
+    """Return the channels of the IEEE form, by its rows of quantities, units and devices."""
+    least, devices = min(len(row) for row in extra[:2]), extra[2] if len(extra) > 2 else []
+    if not least >= len(names):
+        raise RecordError(
+            f"{path}: {len(names)} columns, but quantities or units for {least} of them, wanted: the rows "
+            "below their names with a cell for each"
+        )
+    columns = range(1, len(names))
+    return [ieee_channel(_place(names, devices, k), extra[0][k], extra[1][k]) for k in columns]
 
 
 def _units_row(extra: list[list[str]], width: int) -> list[str]:
@@ -387,8 +401,7 @@ def _comtrade(path: Path) -> Table:
         raw = other_channel(c.name, c.unit, terminal=c.circuit)
         raws.append(replace(raw, channel=replace(raw.channel, name=c.name)))
     flags = [Raw(Channel(n, "status", "1", "")) for n in data.flags]
-    stamps = "its time stamps" if data.stamped else "its sampling rates"
-    notes = [f"COMTRADE of {data.station or 'no station'}, time by {stamps}"]
+    notes = [f"COMTRADE of {data.station or 'no station'}, time by {data.timed_by}"]
     last, declared = data.samples
     if 0 < declared != last:
         notes.append(f"its last sample is number {last}, by its configuration {declared}")

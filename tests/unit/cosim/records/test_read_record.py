@@ -306,7 +306,22 @@ def test_a_magnitude_below_0_is_a_lost_sample(tmp_path: Path) -> None:
     dropped[100:104] = -99.0
     record = read_record(table_csv(tmp_path / "r.csv", "Time,Bus 7 VM [kV]", TIME, dropped))
     np.testing.assert_allclose(record.values[:, 0], SWING, atol=1e-3)
-    assert "Bus 7 VM: 4 samples are below 0: left out" in record.notes
+    assert "Bus 7 VM: 4 samples are outside 0 to 2000 kV: left out" in record.notes
+
+
+@pytest.mark.parametrize(
+    ("head", "says"),
+    [
+        ("P [MW]", "P: 4 samples are outside -1e+06 to 1e+06 MW: left out"),
+        ("VM [kV]", "VM: 4 samples are outside 0 to 2000 kV: left out"),
+    ],
+)
+def test_a_value_that_no_grid_has_is_a_lost_sample(head: str, says: str, tmp_path: Path) -> None:
+    dropped = SWING.copy()
+    dropped[100:104] = 3.1e8
+    record = read_record(table_csv(tmp_path / "r.csv", f"Time,{head}", TIME, dropped))
+    np.testing.assert_allclose(record.values[:, 0], SWING, atol=1e-3)
+    assert says in record.notes
 
 
 @pytest.mark.parametrize(("code", "unit"), [(-9999, "MW"), (9999.99, "Mvar"), (-999, "deg"), (1e20, "kW")])
@@ -349,6 +364,14 @@ def test_a_comtrade_file_that_ends_early_is_said(kind: str, tmp_path: Path) -> N
     record = read_record(path)
     assert len(record.time_s) == 200
     assert "its last sample is number 200, by its configuration 300" in record.notes
+
+
+def test_a_comtrade_file_whose_rates_contradict_its_stamps_says_so(tmp_path: Path) -> None:
+    path = comtrade(tmp_path, "FLOAT32")
+    assert read_record(path).notes[0].endswith("time by its sampling rates")
+    path.write_text(path.read_text().replace("30,300", "60,300"))
+    said = "time by its sampling rates, 4.98333 s; its time stamps have 9.96667 s"
+    assert read_record(path).notes[0].endswith(said)
 
 
 def test_of_a_date_with_points_the_day_comes_first(tmp_path: Path) -> None:
@@ -394,6 +417,14 @@ WRONG = {
     ),
     "binary": (lambda path: path.write_bytes(bytes(range(256)) * 9), "is binary, wanted"),
     "short": (_text("Time,F [Hz]\n0,60\n0.1,60.1\n"), "2 samples, wanted: at least 8"),
+    "units cut off": (
+        lambda path: path.write_text(ieee_csv(path).read_text().replace(",AMP,DEG\n", "\n", 1)),
+        "6 columns, but quantities or units for 4 of them, wanted: the rows below their names",
+    ),
+    "watts": (
+        lambda path: ieee_csv(path, columns={"P": ("MW", 1e8 * TIME)}),
+        r"P is 4\.\d+e\+08 MW, allowed: up to 1e\+06 MW; .*units = \{'P': 'W'\}",
+    ),
     "millivolts": (
         lambda path: ieee_csv(path, columns={"VM": ("KV", 1e3 * COLUMNS["VM"][1])}),
         r"VM is 2\.\d+e\+05 kV, allowed: up to 2000 kV; .*units = \{'VM': 'V'\}",
@@ -422,6 +453,16 @@ WRONG = {
     "still": (
         lambda path: ieee_csv(path, columns={"F": ("HZ", np.full(300, 60.0))}),
         "no channel varies in 9.96",
+    ),
+    "time without end": (
+        _text("Time,F\n" + "\n".join(f"{k},60" if k != 9 else "1e400,60" for k in range(20))),
+        "row 11 has 'inf' for its time",
+    ),
+    "year of no calendar": (
+        _text(
+            "Time,F\n" + "".join(f"{7 if k == 9 else 2025:04d}-04-28 12:32:{k:02d},60\n" for k in range(20))
+        ),
+        "row 11 has '0007-04-28",
     ),
     "no time": (
         _text("Time,F\n" + "\n".join(f"{k},60" if k != 9 else "x,60" for k in range(20))),
@@ -453,6 +494,10 @@ def test_a_wrong_file_is_refused_in_one_line_that_says_what_would_do(name: str, 
             "line 2 is 'many', wanted: number of",
         ),
         (lambda c, d: c.write_text(c.read_text()[:60]), "line|ends at"),
+        (
+            lambda c, d: c.write_text(c.read_text().replace("30,300", "30,inf")),
+            "line 24 is 'inf', wanted: sampling rate, last sample",
+        ),
         (
             lambda c, d: c.write_text(c.read_text().replace("FLOAT32", "FLOAT99")),
             "'FLOAT99', wanted: ASCII, BINARY",
