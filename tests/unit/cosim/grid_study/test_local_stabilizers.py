@@ -75,7 +75,11 @@ def test_a_target_gets_a_second_machine_before_other_modes_have_one(weak: WeakMo
     """As many machines for it in the first turn as stated; then each mode in turn, none twice."""
     target = weak.weakest
     locals_ = [m for m in weak.all_modes.modes if m.name.startswith("local")]
-    others = [replace(m, eigenvalue=complex(-0.09, 1.0) * m.eigenvalue.imag) for m in locals_]
+    dampings = (0.085, 0.09)  # equal ones would be sorted by their last digit
+    others = [
+        replace(m, eigenvalue=complex(-z, 1.0) * m.eigenvalue.imag)
+        for z, m in zip(dampings, locals_, strict=True)
+    ]
     modes = replace(weak, targets=(target,), others=tuple(others))
     once, twice = tuned_stabilizers(modes, 1), tuned_stabilizers(modes, 2)
     assert [one.mode for one in once][:2] == [target.name, others[0].name]
