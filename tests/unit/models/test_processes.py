@@ -8,6 +8,7 @@ import subprocess
 import sys
 import textwrap
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -43,11 +44,9 @@ POOL = """
 """
 CHILD = """
     import os, subprocess, sys, time
-    text = "import sys, time; from interarea.models.processes import end_with_parent as e; "
-    text += "e(int(sys.argv[1])); time.sleep(60)"
-    child = subprocess.Popen([sys.executable, "-c", text, str(os.getpid())])
-    time.sleep(2)
-    open("{file}", "w").write(str(child.pid))
+    text = "import os, sys, time; from interarea.models.processes import end_with_parent as e; "
+    text += "e(int(sys.argv[1])); open(sys.argv[2], 'w').write(str(os.getpid())); time.sleep(60)"
+    subprocess.Popen([sys.executable, "-c", text, str(os.getpid()), "{file}"])
     time.sleep(60)
 """
 CALLBACK = """
@@ -92,11 +91,16 @@ def _started(text: str, file: Path) -> subprocess.Popen[bytes]:
 
 def _written(file: Path) -> int:
     """Return the process that a file names, once it is there."""
-    until = time.monotonic() + 30.0
-    while not (file.exists() and file.read_text().strip()):
-        assert time.monotonic() < until
-        time.sleep(0.02)
+    assert _comes(lambda: file.exists() and bool(file.read_text().strip()))
     return int(file.read_text())
+
+
+def _comes(is_so: Callable[[], bool]) -> bool:
+    """Return whether something is so within 30 s, half of what each process here would live."""
+    until = time.monotonic() + 30.0
+    while not is_so() and time.monotonic() < until:
+        time.sleep(0.02)
+    return is_so()
 
 
 def _lives(process: int) -> bool:
@@ -106,13 +110,6 @@ def _lives(process: int) -> bool:
         return False
 
 
-def _assert_ends(process: int) -> None:
-    until = time.monotonic() + 5.0
-    while _lives(process):
-        assert time.monotonic() < until, "lives on"
-        time.sleep(0.02)
-
-
 @pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
 @pytest.mark.parametrize("text", [GUARDED, POOL, CHILD], ids=["command", "pool", "own"])
 def test_a_killed_process_takes_along_what_it_started(text: str, tmp_path: Path) -> None:
@@ -120,28 +117,26 @@ def test_a_killed_process_takes_along_what_it_started(text: str, tmp_path: Path)
     child = _written(tmp_path / "pid")
     main.kill()
     main.wait()
-    _assert_ends(child)
-    time.sleep(0.1)
-    assert not list(tmp_path.glob("interarea-*")), "a temporary folder stays"
+    assert _comes(lambda: not _lives(child))
+    assert _comes(lambda: not list(tmp_path.glob("interarea-*"))), "a temporary folder stays"
 
 
 def test_interrupted_side_by_side_ends_commands_and_begins_no_other(tmp_path: Path) -> None:
-    begin_s = time.monotonic()
     main = _started(SIDE_BY_SIDE, tmp_path / "pid")
-    assert main.wait(20) != 0 and time.monotonic() - begin_s < 10.0
+    assert main.wait(50) != 0  # before any of the commands would end
     assert not (tmp_path / "pid.again").exists()
 
 
 def test_an_interrupt_in_a_callback_comes_again(tmp_path: Path) -> None:
     main = _started(CALLBACK, tmp_path / "pid")
-    _, said = main.communicate(timeout=20)
+    _, said = main.communicate(timeout=50)
     assert main.returncode == 128 + signal.SIGINT and b"Exception ignored" not in said
 
 
 @pytest.mark.parametrize("goes_on_s", [60, 0.01, 0])
 def test_an_interrupt_that_an_import_swallows_comes_again(tmp_path: Path, goes_on_s: float) -> None:
     main = _started(IMPORTED.replace("{goes_on_s}", str(goes_on_s)), tmp_path / "loaded")
-    _, said = main.communicate(timeout=20)
+    _, said = main.communicate(timeout=50)
     assert main.returncode == 128 + signal.SIGTERM and said.count(b"swallowed") == 1
 
 
@@ -150,7 +145,7 @@ def test_a_pool_left_by_an_error_is_killed() -> None:
     with pytest.raises(ZeroDivisionError), process_pool(1) as pool:
         pool.submit(time.sleep, 60.0)
         raise ZeroDivisionError
-    assert time.monotonic() - begin_s < 10.0
+    assert time.monotonic() - begin_s < 50.0
 
 
 def test_a_command_gives_code_and_text() -> None:
