@@ -21,8 +21,10 @@ from interarea.design.synthesis.generalized_plant import GeneralizedPlant, loop_
 from interarea.design.synthesis.h2 import h2_optimal
 from interarea.design.synthesis.hinf import hinf_region
 from interarea.design.synthesis.lmi_form import PoleRegion
+from interarea.models.arguments import checked_types
 
 
+@checked_types
 def delay_margin(loop: SystemLike, *, sign: int = -1, upto_s: float = 10.0) -> DelayMargin:
     """Return the smallest delay that makes a feedback loop unstable, exactly, without a Padé approximation.
 
@@ -52,6 +54,7 @@ def delay_margin(loop: SystemLike, *, sign: int = -1, upto_s: float = 10.0) -> D
     return delay_margin_of(delayed, tuple(c.name for c in delayed.channels), upto_s=upto_s)
 
 
+@checked_types
 def delayed_poles(
     loop: SystemLike,
     latency_s: float | Sequence[float],
@@ -81,6 +84,7 @@ def delayed_poles(
     return rightmost_roots(_delayed(loop, latency_s, sign), right_of=right_of, least=least)
 
 
+@checked_types
 def hinfsyn(
     plant: SystemLike,
     measurements: int,
@@ -124,6 +128,7 @@ def hinfsyn(
     return _shifted(hinf_region(P, region), D22)
 
 
+@checked_types
 def h2syn(plant: SystemLike, measurements: int, controls: int) -> Synthesis:
     """Design u = +K y of the least H2 norm from w to z (LQG). [Zhou1996]
 

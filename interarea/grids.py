@@ -24,7 +24,7 @@ from interarea.design.reduction.balanced import (
 )
 from interarea.design.reduction.low_rank import low_rank_reduction
 from interarea.fmu_build.write.cache import default_cache
-from interarea.models.arguments import kind_of
+from interarea.models.arguments import checked_types, kind_of
 from interarea.models.case.case import Case
 from interarea.models.case.case import load_case as load_case
 from interarea.models.errors import UserError
@@ -46,6 +46,7 @@ def case_like(case: Case | str | Path) -> Case:
     raise UserError(f"case: is {kind_of(case)}, wanted a Case (load_case), a bundled name or a file")
 
 
+@checked_types
 def import_case(
     grid: str | Path,
     *,
@@ -114,6 +115,7 @@ def import_case(
     return imported.case
 
 
+@checked_types
 def linearise(case: Case | str | Path, *, reference: bool = False, speeds: str = "pu") -> control.StateSpace:
     """Return the plant linearised at its operating point; states, inputs and outputs have names.
 
@@ -168,6 +170,7 @@ def modes(case: Case | str | Path) -> SwingModes:
     return SwingModes.of(modes_of(linear_plant(loaded, default_cache()), loaded.areas), loaded)
 
 
+@checked_types
 def loops(
     case: Case | str | Path,
     *,
@@ -210,6 +213,7 @@ def loops(
     return RankedLoops(**vars(choice))
 
 
+@checked_types
 def reduce(
     system: SystemLike | Case | str | Path,
     order: int,

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import functools
+import re
 from collections.abc import Callable, Mapping, Sequence
-from numbers import Real
+from numbers import Integral, Real
+from pathlib import Path
+from types import UnionType
 from typing import Any, TypeVar, cast
 
 import numpy as np
@@ -18,26 +21,41 @@ def _is_number(value: object) -> bool:
     return isinstance(value, Real) and not isinstance(value, bool | np.bool_)
 
 
-def _texts(values: object) -> bool:
-    return isinstance(values, Sequence) and not isinstance(values, str) and all(map(_is_text, values))
+def _are_numbers(values: object) -> bool:
+    return isinstance(values, tuple | list | np.ndarray) and all(map(_is_number, values))
 
 
-def _is_text(value: object) -> bool:
-    return isinstance(value, str)
+def _is_all(values: object, kind: type[Any] | UnionType) -> bool:
+    several = isinstance(values, Sequence) and not isinstance(values, str)
+    return several and all(isinstance(value, kind) for value in values)  # type: ignore[attr-defined]
+
+
+def _are_cases(values: object) -> bool:
+    from .case.case import Case
+
+    return isinstance(values, Mapping) and _is_all([*values.values()], Case)
 
 
 #: annotation -> whether a value is of that kind, and the kind in words
 _KINDS: dict[str, tuple[Callable[[Any], bool], str]] = {
     "float": (_is_number, "a number"),
-    "str": (_is_text, "a text"),
-    "tuple[float, float]": (
-        lambda v: isinstance(v, tuple | list | np.ndarray) and len(v) == 2 and all(map(_is_number, v)),
-        "two numbers",
+    "int": (lambda v: _is_number(v) and isinstance(v, Integral), "a whole number"),
+    "bool": (lambda v: isinstance(v, bool | np.bool_), "True or False"),
+    "str": (lambda v: isinstance(v, str), "a text"),
+    "Path": (lambda v: isinstance(v, Path), "a path"),
+    "tuple[float, float]": (lambda v: _are_numbers(v) and len(v) == 2, "two numbers"),
+    "Sequence[float]": (_are_numbers, "a list of numbers"),
+    "Sequence[str]": (lambda v: _is_all(v, str), "a list of texts"),
+    "Sequence[str | Path]": (lambda v: _is_all(v, str | Path), "a list of paths"),
+    "Mapping[str, str]": (
+        lambda v: isinstance(v, Mapping) and _is_all([*v, *v.values()], str),
+        "a dict of texts",
     ),
-    "Sequence[str]": (_texts, "a list of texts"),
-    "Mapping[str, str]": (lambda v: isinstance(v, Mapping) and _texts([*v, *v.values()]), "a dict of texts"),
+    "Mapping[str, Case]": (_are_cases, "a dict of cases"),
+    "Callable[[str], object]": (callable, "a function"),
     "None": (lambda v: v is None, "None"),
 }
+_APART = re.compile(r" \| (?![^\[]*\])")  #: between the kinds of an annotation, not within brackets
 _LONGEST = 60  #: characters of a value in a message
 
 
@@ -49,7 +67,7 @@ def checked_types(function: _Function) -> _Function:
     UserError : names function, argument, value and what is allowed.
     """
     names = function.__code__.co_varnames
-    kinds = {name: text.split(" | ") for name, text in function.__annotations__.items() if name != "return"}
+    kinds = {name: _APART.split(text) for name, text in function.__annotations__.items() if name != "return"}
     kinds = {name: of for name, of in kinds.items() if _KINDS.keys() >= set(of)}
     title = function.__qualname__.removesuffix(".__init__")
 
