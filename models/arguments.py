@@ -30,12 +30,6 @@ def _is_all(values: object, kind: type[Any] | UnionType) -> bool:
     return several and all(isinstance(value, kind) for value in values)  # type: ignore[attr-defined]
 
 
-def _are_cases(values: object) -> bool:
-    from .case.case import Case
-
-    return isinstance(values, Mapping) and _is_all([*values.values()], Case)
-
-
 #: annotation -> whether a value is of that kind, and the kind in words
 _KINDS: dict[str, tuple[Callable[[Any], bool], str]] = {
     "float": (_is_number, "a number"),
@@ -51,7 +45,10 @@ _KINDS: dict[str, tuple[Callable[[Any], bool], str]] = {
         lambda v: isinstance(v, Mapping) and _is_all([*v, *v.values()], str),
         "a dict of texts",
     ),
-    "Mapping[str, Case]": (_are_cases, "a dict of cases"),
+    "Mapping[str, Case]": (
+        lambda v: isinstance(v, Mapping) and all(hasattr(case, "machines") for case in v.values()),
+        "a dict of cases",
+    ),
     "Callable[[str], object]": (callable, "a function"),
     "None": (lambda v: v is None, "None"),
 }
