@@ -92,7 +92,7 @@ GRID_RUN = {
 #: PSS/E (0.07 1/s): power for both. The limits of IEEEX1 are put out of reach: ANDES takes a limit on and off
 #: at the end of a step. With them speeds of NPCC differ by 1.8e-3 of their peak at its step of 1/480 s, and
 #: 9.3e-4 at 1/960 s (continued to none: 8e-5, but 4e-4 from 1/960 and 1/1920 s: no series in the step),
-#: without by 1.1e-4 and 2.8e-5; those of WECC by 2.6e-5 at 1/1920 s.
+#: without by 1.1e-4 and 2.8e-5, and 2.5e-5 at 1/1920 s; those of WECC by 2.6e-5 at 1/1920 s.
 FILES = {
     "npcc": (("npcc/npcc.raw", "npcc/npcc_full.dyr"), ("GENROU", "GENCLS", "IEEEX1", "TGOV1")),
     "wecc": (("wecc/wecc.raw", "wecc/wecc_full.dyr"), ("GENROU", "EXST1", "ST2CUT", "IEEEG1")),
