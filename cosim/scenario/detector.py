@@ -42,9 +42,8 @@ class DetectorTable(Table):
     #: of `design_detector`, relative to this file: patterns of correct signals; default: not tested
     file: Annotated[str, Field(examples=["detector.json"])] = ""
     range_pu: Annotated[float, Field(gt=0.0, examples=[0.05])] = RANGE_PU  #: largest magnitude of a signal
-    jump_pu_per_s: Annotated[float, Field(gt=0.0, examples=[0.24])] = (
-        JUMP_PU_PER_S  #: its largest change in a second
-    )
+    #: its largest change in a second
+    jump_pu_per_s: Annotated[float, Field(gt=0.0, examples=[0.24])] = JUMP_PU_PER_S
     #: consecutive frames, equal or as earlier ones, that fail the test while others move
     repeat_frames: Annotated[int, Field(ge=1)] = REPEAT_FRAMES
     #: largest distance of a signal's mean from the median of the others
@@ -53,9 +52,8 @@ class DetectorTable(Table):
     apart_share: Annotated[float, Field(ge=0.0)] = APART_SHARE
     #: largest median of the second differences of a signal, plus twice that of the others
     rough_pu: Annotated[float, Field(gt=0.0, examples=[0.0001])] = ROUGH_PU
-    average_s: Positive = (
-        AVERAGE_S  #: time over which means are taken: a period of the slowest swing, or more
-    )
+    #: time over which means are taken: a period of the slowest swing, or more
+    average_s: Positive = AVERAGE_S
     #: time without a failed test before a signal is trusted again; twice as long each further time
     return_s: Annotated[float, Field(ge=0.0, examples=[5.0])] = RETURN_S
     #: span of a swing that takes all signals out when it stands, whatever its cause; ambient noise with 4 mHz
