@@ -37,7 +37,8 @@ def test_it_rests_and_the_derivatives_are_those_of_differences(control, network,
     plant = BlockShim(plant_block(with_svc(control, base, Q_mvar=20.0, regulates=regulates), network=network))
     rates, y = plant.derivatives(plant.x)
     assert np.max(np.abs(rates)) < 2e-11  # of the machines: 1.5e-11 without any device
-    assert np.max(np.abs(rates[[n.startswith("svc1.") for n in plant.state_names]])) < 1e-12
+    # rounding of the voltage, 2e-15, times gain over lag: 650 1/s of the SVC
+    assert np.max(np.abs(rates[[n.startswith("svc1.") for n in plant.state_names]])) < 2e-12
     assert y[plant.output_names.index("svc1.q")] == pytest.approx(0.2, abs=1e-12)
     h = 1e-4 if base == "kundur-manual" else 1e-5  # its ports are solved to 1e-12
     rates_off, outputs_off = plant.directional_errors(1e-3, h)
