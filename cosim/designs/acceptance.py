@@ -124,14 +124,15 @@ class Acceptance:
         return tuple(b - a for a, b in both if a is not None and b is not None)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the record as JSON values."""
+        """Return the record as JSON values; `commutation` only where a link fails to."""
         changes = self.changes_cycles
         summary = {
             "clearing_shorter": sum(change < -0.2 for change in changes),
             "clearing_mean_change_cycles": float(np.mean(changes)) if changes else None,
             "clearing_worst_change_cycles": min(changes, default=None),
         }
-        return {**asdict(self), **summary}
+        kept = {key: value for key, value in asdict(self).items() if value or key != "commutation"}
+        return {**kept, **summary}
 
 
 #: a setting, and whether the controller is there
