@@ -36,18 +36,14 @@ CASE, ACTUATOR, GAIN = "mini-wecc-dc", "pdci_p_mod", 0.4  #: pu of 3100 MW per r
 RATING_MW, LIMIT = 3100.0, 0.1  #: of the link; of the modulation, pu of it
 UNIT = "G7"  #: the largest unit, 3592 MW
 BUSES = {"north_dw": 24, "south_dw": 49, "north2_dw": 23, "south2_dw": 48}
-NORTH, SOUTH = ("north_dw", "north2_dw"), ("south_dw", "south2_dw")
 WASHOUT_S, LAG_S = 10.0, 0.05
 NORTH_SOUTH = ("inter-area 1", "inter-area 2")
 #: which signal is lost -> the signals of the member of the bank that acts, with their signs
-PAIRS: dict[str, dict[str, float]] = {
-    f"{lost} lost" if lost else "all arrive": {north: 1.0, south: -1.0}
-    for lost, north, south in (
-        ("", NORTH[0], SOUTH[0]),
-        ("north", NORTH[1], SOUTH[0]),
-        ("south", NORTH[0], SOUTH[1]),
-        ("one of each end", NORTH[1], SOUTH[1]),
-    )
+PAIRS = {
+    "all arrive": {"north_dw": 1.0, "south_dw": -1.0},
+    "north lost": {"north2_dw": 1.0, "south_dw": -1.0},
+    "south lost": {"north_dw": 1.0, "south2_dw": -1.0},
+    "one of each end lost": {"north2_dw": 1.0, "south2_dw": -1.0},
 }
 #: an end alone -> its signal, and the gain relative to that of the difference: of steps of .1, the one with
 #: the most damping of the slow mode where no other mode loses .5 points; beyond 2 the north gains nothing
@@ -107,24 +103,23 @@ def one_end(gain: float) -> dict[str, Controller]:
     }
 
 
-def _cases(gain: float) -> Iterator[tuple[str, LinearMatrices, dict[str, DelayedPath]]]:
-    """Yield name, controller and paths of each row of the table."""
-    measured = pmu_filter("P", 60.0, 60.0)
-    for what, signs in PAIRS.items():
-        for latency_s in (0.0, 0.1, 0.2) if what == "all arrive" else (0.0, 0.1):
-            paths = {signal: DelayedPath(latency_s, measured=measured) for signal in signs}
-            name = what if latency_s == 0.0 else f"{what}, {1e3 * latency_s:g} ms late"
-            yield name, modulation(gain, signs), paths
+def _cases(gain: float) -> Iterator[tuple[str, Controller, float]]:
+    """Yield name, controller and latency (s) of each row of the table."""
+    for what, member in zip(PAIRS, bank(gain).members, strict=True):
+        yield what, member, 0.0
+        for latency_s in (0.1, 0.2) if what == "all arrive" else (0.1,):
+            yield f"{what}, {1e3 * latency_s:g} ms late", member, latency_s
     for what, alone in one_end(gain).items():
-        yield what, alone.matrices, {s: DelayedPath(0.0, measured=measured) for s in alone.inputs}
+        yield what, alone, 0.0
 
 
 def rows(gain: float) -> tuple[dict[str, float], dict[str, Row]]:
     """Return the damping ratios without control, and condition -> what the loop has."""
     grid, modes = plant()
-    result = {}
-    for name, controller, paths in _cases(gain):
-        swings = LoopFunction(grid, controller).modes(paths, modes, left=LEFT)
+    result, measured = {}, pmu_filter("P", 60.0, 60.0)
+    for name, controller, latency_s in _cases(gain):
+        paths = {signal: DelayedPath(latency_s, measured=measured) for signal in controller.inputs}
+        swings = LoopFunction(grid, controller.matrices).modes(paths, modes, left=LEFT)
         assert swings.least is not None
         damping = {mode: damping_ratio(root) for mode, root in swings.named.items()}
         result[name] = Row(damping, damping_ratio(swings.least))

@@ -63,7 +63,7 @@ def test_the_bank_keeps_both_ends_while_one_signal_of_each_arrives(intertie: Any
         read = dict(zip(bank.acting([lost]).inputs, signs, strict=True))
         assert lost not in read and sorted(read.values()) == pytest.approx([-1.0, 1.0])
         assert len({name[:5] for name in read}) == 2
-    assert bank.active(intertie.NORTH) == bank.active(intertie.SOUTH) == "off"
+    assert bank.active(["north_dw", "north2_dw"]) == bank.active(["south_dw", "south2_dw"]) == "off"
 
 
 @pytest.mark.slow
