@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from independent.two_area_svc import matrix_of
 
 OMEGA = 2.0 * np.pi * 60.0
 Xl, Xd, Xd1, Xd2, Xq = 0.2, 1.8, 0.3, 0.25, 1.7
@@ -300,16 +301,9 @@ class TwoAreaDc:
             ]
         )
 
-    def matrix(self, step: float = 1e-4) -> np.ndarray:
-        """Return A by differences of fourth order."""
-        columns = []
-        for k in range(len(self.x0)):
-            d = np.zeros(len(self.x0))
-            d[k] = step
-            near = self.rates(self.x0 + d) - self.rates(self.x0 - d)
-            far = self.rates(self.x0 + 2.0 * d) - self.rates(self.x0 - 2.0 * d)
-            columns.append((8.0 * near - far) / (12.0 * step))
-        return np.array(columns).T
+    def matrix(self) -> np.ndarray:
+        """Return A."""
+        return matrix_of(self.rates, self.x0)
 
     def input_column(self, step: float = 1e-4) -> np.ndarray:
         """Return the column of the current order."""

@@ -7,6 +7,8 @@ of PSTess 1.1; as released, buses 3 and 101 have sources of constant reactive po
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 BUSES = (1, 2, 3, 4, 10, 11, 12, 13, 14, 20, 101, 110, 120)
@@ -49,18 +51,19 @@ def admittance(series: float = 0.0) -> np.ndarray:
     return Y
 
 
-def power_flow(series: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-    """Return voltages and injected powers of the buses, (13,) each."""
-    n, Y = len(BUSES), admittance(series)
-    at = {bus: k for k, bus in enumerate(BUSES)}
-    free = [k for k, bus in enumerate(BUSES) if bus not in HELD]
-    turning = [k for k in range(n) if BUSES[k] != 1]
+def solved(
+    Y: np.ndarray, buses: tuple, held: dict, power: dict, reactive: dict, slack: tuple[int, float]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return voltages and injected powers of the buses by Newton's method; slack: bus and its angle, deg."""
+    n, at = len(buses), {bus: k for k, bus in enumerate(buses)}
+    free = [k for k, bus in enumerate(buses) if bus not in held]
+    turning = [k for k, bus in enumerate(buses) if bus != slack[0]]
     p, q = np.zeros(n), np.zeros(n)
-    for values, table in ((p, POWER), (q, REACTIVE)):
+    for values, table in ((p, power), (q, reactive)):
         for bus, value in table.items():
             values[at[bus]] = value
-    size = np.array([HELD.get(bus, 1.0) for bus in BUSES])
-    angle = np.full(n, np.radians(SLACK_DEG))
+    size = np.array([held.get(bus, 1.0) for bus in buses])
+    angle = np.full(n, np.radians(slack[1]))
     for _ in range(30):
         V = size * np.exp(1j * angle)
         current = Y @ V
@@ -81,6 +84,53 @@ def power_flow(series: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
         size[free] += step[len(turning) :]
     V = size * np.exp(1j * angle)
     return V, V * np.conj(Y @ V)
+
+
+def power_flow(series: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """Return voltages and injected powers of the buses, (13,) each."""
+    return solved(admittance(series), BUSES, HELD, POWER, REACTIVE, (1, SLACK_DEG))
+
+
+def rotor_at_rest(v: np.ndarray, i: np.ndarray) -> tuple[list[np.ndarray], np.ndarray, np.ndarray]:
+    """Return delta, eq1, ed1, psi_d, psi_q, then the field voltage and the torque."""
+    delta = np.angle(v + complex(Ra, Xq) * i)
+    frame = np.exp(-1j * delta)
+    iq, id_ = (i * frame).real, -(i * frame).imag
+    e = (v + complex(Ra, Xd2) * i) * frame
+    eq2, ed2 = e.real, -e.imag
+    eq1, ed1 = eq2 + (Xd1 - Xd2) * id_, ed2 - (Xq1 - Xd2) * iq
+    psi_d, psi_q = eq1 - (Xd1 - Xl) * id_, ed1 + (Xq1 - Xl) * iq
+    torque = (e * np.conj(i * frame)).real
+    return [delta, eq1, ed1, psi_d, psi_q], eq1 + (Xd - Xd1) * id_, torque
+
+
+def subtransient_emf(eq1: np.ndarray, ed1: np.ndarray, psi_d: np.ndarray, psi_q: np.ndarray) -> np.ndarray:
+    """Return the EMF behind Ra + j X'' in the frame of the rotor, q axis real."""
+    a, c = (Xd2 - Xl) / (Xd1 - Xl), (Xd2 - Xl) / (Xq1 - Xl)
+    return a * eq1 + (1.0 - a) * psi_d - 1j * (c * ed1 + (1.0 - c) * psi_q)
+
+
+def winding_rates(
+    eq1: np.ndarray, ed1: np.ndarray, psi_d: np.ndarray, psi_q: np.ndarray, i: np.ndarray, efd: np.ndarray
+) -> list[np.ndarray]:
+    """Return the rates of eq1, ed1, psi_d, psi_q for a current in the frame of the rotor."""
+    iq, id_ = i.real, -i.imag
+    deq = eq1 - psi_d - (Xd1 - Xl) * id_
+    ded = ed1 - psi_q + (Xq1 - Xl) * iq
+    field = eq1 + (Xd - Xd1) * (id_ + (Xd1 - Xd2) / (Xd1 - Xl) ** 2 * deq)
+    d_axis = ed1 - (Xq - Xq1) * (iq - (Xq1 - Xd2) / (Xq1 - Xl) ** 2 * ded)
+    return [(efd - field) / Td01, -d_axis / Tq01, deq / Td02, ded / Tq02]
+
+
+def matrix_of(rates: Callable[[np.ndarray], np.ndarray], x0: np.ndarray, step: float = 1e-4) -> np.ndarray:
+    """Return A by differences of fourth order."""
+    columns = []
+    for k in range(len(x0)):
+        d = np.zeros(len(x0))
+        d[k] = step
+        near, far = rates(x0 + d) - rates(x0 - d), rates(x0 + 2.0 * d) - rates(x0 - 2.0 * d)
+        columns.append((8.0 * near - far) / (12.0 * step))
+    return np.array(columns).T
 
 
 class TwoAreaSvc:
@@ -108,16 +158,7 @@ class TwoAreaSvc:
     def rest(self, V: np.ndarray, S: np.ndarray) -> np.ndarray:
         """Return the states at rest, and keep the set-points."""
         v, s = V[self.machine], S[self.machine]
-        i = np.conj(s / v) / RATIO
-        delta = np.angle(v + complex(Ra, Xq) * i)
-        frame = np.exp(-1j * delta)
-        iq, id_ = (i * frame).real, -(i * frame).imag
-        e = (v + complex(Ra, Xd2) * i) * frame
-        eq2, ed2 = e.real, -e.imag
-        eq1, ed1 = eq2 + (Xd1 - Xd2) * id_, ed2 - (Xq1 - Xd2) * iq
-        psi_d, psi_q = eq1 - (Xd1 - Xl) * id_, ed1 + (Xq1 - Xl) * iq
-        efd = eq1 + (Xd - Xd1) * id_
-        self.pm0 = (e * np.conj(i * frame)).real
+        (delta, *windings), efd, self.pm0 = rotor_at_rest(v, np.conj(s / v) / RATIO)
         saturation = A_SATURATION * np.exp(B_SATURATION * efd)
         self.KE = -saturation / efd  # the Toolbox's, where KE is given as 0
         vr = (self.KE + saturation) * efd
@@ -127,7 +168,7 @@ class TwoAreaSvc:
         v13, b = abs(V[self.svc]), S[self.svc].imag / abs(V[self.svc]) ** 2
         self.sref = v13 + b / SVC["K"]
         bc = b * (1.0 - SVC["TC"] / SVC["TB"]) / SVC["K"]
-        machines = [delta, 0.0 * delta, eq1, ed1, psi_d, psi_q, np.abs(v), vr, efd, efd, self.gref, y1, y2]
+        machines = [delta, 0.0 * delta, *windings, np.abs(v), vr, efd, efd, self.gref, y1, y2]
         return np.concatenate([*machines, [bc, b]])
 
     def network(self, emf: np.ndarray, b: float) -> np.ndarray:
@@ -150,24 +191,17 @@ class TwoAreaSvc:
 
     def rates(self, x: np.ndarray, v_mod: float = 0.0) -> np.ndarray:
         """Return dx/dt."""
-        delta, slip, eq1, ed1, psi_d, psi_q, vm, vr, efd, rf, g1, g2, g3 = x[:52].reshape(13, 4)
+        delta, slip, *windings, vm, vr, efd, rf, g1, g2, g3 = x[:52].reshape(13, 4)
         bc, b = x[52:]
-        a, c = (Xd2 - Xl) / (Xd1 - Xl), (Xd2 - Xl) / (Xq1 - Xl)
-        eq2, ed2 = a * eq1 + (1.0 - a) * psi_d, c * ed1 + (1.0 - c) * psi_q
         speed = 1.0 + slip if self.speed_terms else 1.0
-        emf = speed * (eq2 - 1j * ed2) * np.exp(1j * delta)
+        emf = speed * subtransient_emf(*windings) * np.exp(1j * delta)
         V = self.network(emf, b)
         v = V[self.machine]
         i = (emf - v) / complex(Ra, Xd2) * np.exp(-1j * delta)
-        iq, id_ = i.real, -i.imag
         power = (emf * np.exp(-1j * delta) * np.conj(i)).real
         demand = self.gref - GAIN * slip
         y1 = g2 + T3 / TC3 * g1
         pm = g3 + T4 / T5 * y1
-        deq = eq1 - psi_d - (Xd1 - Xl) * id_
-        ded = ed1 - psi_q + (Xq1 - Xl) * iq
-        field = eq1 + (Xd - Xd1) * (id_ + (Xd1 - Xd2) / (Xd1 - Xl) ** 2 * deq)
-        d_axis = ed1 - (Xq - Xq1) * (iq - (Xq1 - Xd2) / (Xq1 - Xl) ** 2 * ded)
         feedback = KF / TF * (efd - rf)
         svc_error = self.sref + v_mod - abs(V[self.svc])
         lead = SVC["TC"] / SVC["TB"]
@@ -175,10 +209,7 @@ class TwoAreaSvc:
             [
                 OMEGA * slip,
                 (pm - power) / speed / (2.0 * H),
-                (efd - field) / Td01,
-                -d_axis / Tq01,
-                deq / Td02,
-                ded / Tq02,
+                *winding_rates(*windings, i, efd),
                 (np.abs(v) - vm) / TR,
                 (KA * (self.vref - vm - feedback) - vr) / TA,
                 (vr - (self.KE + A_SATURATION * np.exp(B_SATURATION * efd)) * efd) / TE,
@@ -191,16 +222,9 @@ class TwoAreaSvc:
             ]
         )
 
-    def matrix(self, step: float = 1e-4) -> np.ndarray:
-        """Return A (54, 54) by differences of fourth order."""
-        columns = []
-        for k in range(len(self.x0)):
-            d = np.zeros(len(self.x0))
-            d[k] = step
-            near = self.rates(self.x0 + d) - self.rates(self.x0 - d)
-            far = self.rates(self.x0 + 2.0 * d) - self.rates(self.x0 - 2.0 * d)
-            columns.append((8.0 * near - far) / (12.0 * step))
-        return np.array(columns).T
+    def matrix(self) -> np.ndarray:
+        """Return A (54, 54)."""
+        return matrix_of(self.rates, self.x0)
 
     def input_column(self, step: float = 1e-4) -> np.ndarray:
         """Return B (54,) of the SVC's modulation."""
