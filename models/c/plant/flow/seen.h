@@ -35,13 +35,13 @@ static void see_components(const real *memory, const Plan *plan, const num *x, s
  * the current that it measures and `power_re`, `power_im` the voltage there. */
 static void see_measured(const real *row, num v_re, num v_im, num re, num im, num power_re, num power_im, size_t at, Work *w)
 {
-    const num scale = NUM(row[P_SCALE]), r = NUM(row[P_DROP_R]), x = NUM(row[P_DROP_X]);
+    const num per = num_ratio(NUM(1.0), NUM(row[P_SCALE])), r = NUM(row[P_DROP_R]), x = NUM(row[P_DROP_X]);
     const num less_re = v_re - (r * re - x * im), less_im = v_im - (r * im + x * re);
 
     w->efd[at] = num_sqrt(v_re * v_re + v_im * v_im);
     w->pm[at] = num_sqrt(less_re * less_re + less_im * less_im);
-    w->id[at] = num_ratio(power_re * re + power_im * im, scale);
-    w->iq[at] = num_ratio(power_im * re - power_re * im, scale);
+    w->id[at] = per * (power_re * re + power_im * im);
+    w->iq[at] = per * (power_im * re - power_re * im);
 }
 
 /* Whether port p only measures for a plant control, and is of such a kind. */
@@ -85,12 +85,13 @@ static void see_converter(const real *memory, const Plan *plan, const num *x, si
 {
     const real *row = memory + plan->port + P_ROWS * p;
     const size_t sees = index_at(row, P_DIRECTION);
+    const num per = num_ratio(NUM(1.0), NUM(row[P_SCALE]));   /* does not wait for the voltages */
     num active, reactive;
 
     bus_device_power(row, x, w->sine[at], w->cosine[at], w->port.v_re[p], w->port.v_im[p], &active, &reactive);
-    *(far ? &w->vq[at] : &w->pe[at]) = num_ratio(active, NUM(row[P_SCALE]));
+    *(far ? &w->vq[at] : &w->pe[at]) = per * active;
     if (far) return;
-    w->ifd[at] = num_ratio(reactive, NUM(row[P_SCALE]));
+    w->ifd[at] = per * reactive;
     if (sees & 1u) see_direction(memory, plan, p, at, v, w);
     if (sees & 2u) see_plant(memory, plan, x, p, at, w);
     if (sees & 4u) see_components(memory, plan, x, p, at, w);

@@ -70,7 +70,7 @@ static void solve_sparse_tangent(const double *memory, const Plan *plan, const P
         w->port.v_re[p] = w->v[2 * pattern->port[p]];
         w->port.v_im[p] = w->v[2 * pattern->port[p] + 1];
     }
-    sparse_port_inject(memory, plan, x, w->sine, w->cosine, w->port, w->e_re, w->e_im);
+    sparse_port_inject(memory, plan, 0, x, w->sine, w->cosine, w->port, w->e_re, w->e_im);
 }
 
 size_t plant_directional(double *memory, const int32_t *places, const BlockLayout *layout, const double *x, const double *u,

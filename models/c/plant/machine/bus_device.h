@@ -38,7 +38,7 @@ static inline void source_current(const real *row, num e, num sine, num cosine, 
 static inline void converter_current(const real *row, num ip, num iq, num v, num *along, num *across)
 {
     const num zero = NUM(row[P_ZERO]), full = NUM(row[P_FULL]), high = NUM(row[P_HIGH]), least = NUM(row[P_LEAST]);
-    const num part = num_ratio(v - zero, full - zero), less = iq - row[P_TAKEN] * (v - high);
+    const num part = (v - zero) * num_ratio(NUM(1.0), full - zero), less = iq - row[P_TAKEN] * (v - high);
     const num some = num_pick(num_above(v, zero), part * ip, NUM(0.0));
 
     *along = num_pick(num_above(full, v), some, ip);
@@ -65,24 +65,21 @@ static inline void bus_device_injection(const real *row, const num *x, num sine,
     }
     if (coupling != COUPLING_NONE) {
         const num y = row[P_SCALE] * x[index_at(row, P_STATE)] + row[P_BIAS];
+        num per = NUM(1.0);   /* 1/u: one division for both parts */
         across = -y;
-        if (coupling == COUPLING_CONVERTER) {
-            const num v = num_sqrt(v_re * v_re + v_im * v_im);
-            converter_current(row, y, row[P_SCALE] * x[index_at(row, P_STATE_Q)], v, &along, &across);
-        } else if (coupling == COUPLING_RECTIFIER || coupling == COUPLING_INVERTER) {
-            dc_link_current(row, x, num_sqrt(v_re * v_re + v_im * v_im), &along, &across);
+        if (coupling >= COUPLING_CURRENT) {
+            const num v = num_sqrt(v_re * v_re + v_im * v_im), low = NUM(row[P_LOW]);
+            per = num_ratio(NUM(1.0), num_pick(num_above(v, low), v, low));
+            if (coupling == COUPLING_CONVERTER)
+                converter_current(row, y, row[P_SCALE] * x[index_at(row, P_STATE_Q)], v, &along, &across);
+            else if (coupling == COUPLING_RECTIFIER || coupling == COUPLING_INVERTER)
+                dc_link_current(row, x, v, &along, &across);
         }
-        along = num_pick(on, along, NUM(0.0));
-        across = num_pick(on, across, NUM(0.0));
+        along = num_pick(on, per * along, NUM(0.0));
+        across = num_pick(on, per * across, NUM(0.0));
     }
     *i_re = along * v_re - across * v_im;
     *i_im = along * v_im + across * v_re;
-    if (coupling >= COUPLING_CURRENT) {
-        const num v = num_sqrt(v_re * v_re + v_im * v_im), low = NUM(row[P_LOW]);
-        const num u = num_pick(num_above(v, low), v, low);
-        *i_re = num_ratio(*i_re, u);
-        *i_im = num_ratio(*i_im, u);
-    }
 }
 
 /* Active and reactive power into the network, system base. */

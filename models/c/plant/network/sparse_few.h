@@ -45,7 +45,7 @@ static inline void sparse_few_begin(const real *memory, const Plan *plan, const 
 static inline void sparse_few_end(const real *memory, const Plan *plan, const Pattern *s, num *base, num *e_re, num *e_im,
                                   num *v)
 {
-    sparse_port_scale(memory, plan, e_re, e_im);
+    sparse_port_scale(memory, plan, 0, e_re, e_im);
     for (size_t p = 0; p < plan->n_port; ++p) {
         base[2 * s->port[p]] += e_re[plan->n_machine + p];
         base[2 * s->port[p] + 1] += e_im[plan->n_machine + p];

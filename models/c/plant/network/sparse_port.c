@@ -263,7 +263,8 @@ size_t sparse_port_solve(double *memory, const Plan *plan, const Pattern *patter
         return port;
     }
     if (care == PORT_EXACT && !folded_here(s) && !fold(s)) return port;
-    if (plan->n_node > plan->n_bus) sparse_port_inject(memory, plan, x, sine, cosine, w, e_re, e_im);
+    if (plan->n_node > plan->n_bus)
+        sparse_port_inject(memory, plan, ports_at_buses(memory, plan), x, sine, cosine, w, e_re, e_im);
     keep(s);
     memory[H_PORT_USED] += 1.0;
     if (memory[H_PORT_RATIO] > SLOWER && memory[H_PORT_USED] >= OFTEN) memory[H_PORT_READY] = 0.0;

@@ -13,11 +13,11 @@
  * tangent is exact. */
 
 /* A machine's injection, which is on its base, on the system's. */
-static inline void sparse_port_scale(const real *memory, const Plan *plan, num *e_re, num *e_im)
+static inline void sparse_port_scale(const real *memory, const Plan *plan, size_t first, num *e_re, num *e_im)
 {
     const real *ratio = memory + plan->machine + M_RATIO * plan->n_machine;
 
-    for (size_t p = 0; p < plan->n_port; ++p) {
+    for (size_t p = first; p < plan->n_port; ++p) {
         const real *row = memory + plan->port + P_ROWS * p;
         if (!port_is_machine(row)) continue;
         e_re[plan->n_machine + p] *= ratio[index_at(row, P_DEVICE)];
@@ -25,12 +25,12 @@ static inline void sparse_port_scale(const real *memory, const Plan *plan, num *
     }
 }
 
-/* What every port injects at its node, into e. */
-static inline void sparse_port_inject(const real *memory, const Plan *plan, const num *x, const num *sine,
+/* What the ports from `first` on inject at their nodes, into e. */
+static inline void sparse_port_inject(const real *memory, const Plan *plan, size_t first, const num *x, const num *sine,
                                       const num *cosine, PortWork w, num *e_re, num *e_im)
 {
-    port_inject(memory, plan, 0, x, sine, cosine, w, e_re, e_im);
-    sparse_port_scale(memory, plan, e_re, e_im);
+    port_inject(memory, plan, first, x, sine, cosine, w, e_re, e_im);
+    sparse_port_scale(memory, plan, first, e_re, e_im);
 }
 
 /* One step from the port voltages in w: node voltages into v. base: what the EMFs inject. */
@@ -41,7 +41,7 @@ static inline void sparse_port_step(const real *memory, const Plan *plan, const 
     const real *slope = memory + plan->port_slope;
     const num *re = e_re + plan->n_machine, *im = e_im + plan->n_machine;
 
-    sparse_port_inject(memory, plan, x, sine, cosine, w, e_re, e_im);
+    sparse_port_inject(memory, plan, 0, x, sine, cosine, w, e_re, e_im);
     for (size_t k = 2 * plan->first; k < 2 * plan->n_node; ++k) v[k] = base[k];
     for (size_t p = 0; p < plan->n_port; ++p) {
         const real *d = slope + 4 * p;
