@@ -112,7 +112,7 @@ def hinfsyn(
     Raises
     ------
     InfeasibleDesign : names the infeasible constraint. UncertifiedDesign : the closed loop contradicts the
-    solver. UserError : not a linear system. ValueError : an empty region.
+    solver. UserError : not a linear system; an empty region.
 
     Examples
     --------
@@ -166,7 +166,10 @@ def _delayed(loop: SystemLike, latency_s: float | Sequence[float], sign: int) ->
         )
     if sign not in (-1, 1):
         raise DelayError(f"sign = {sign!r}, allowed: -1 (u = -y) or 1 (u = +y)")
-    delays = np.broadcast_to(np.asarray(latency_s, dtype=float), (G.noutputs,))
+    given = np.asarray(latency_s, dtype=float)
+    if given.ndim and given.shape != (G.noutputs,):
+        raise DelayError(f"latency_s = {latency_s!r}, allowed: one, or one of each of {G.noutputs} outputs")
+    delays = np.broadcast_to(given, (G.noutputs,))
     if not np.all((delays >= 0.0) & np.isfinite(delays)):
         raise DelayError(f"latency_s = {latency_s!r}, allowed: 0 s or more")
     channels = [DelayedChannel(f"y{k + 1}", float(t), sign * G.B[:, k], G.C[k]) for k, t in enumerate(delays)]

@@ -13,11 +13,16 @@ from typing import Any, get_args
 
 from pydantic import BaseModel, TypeAdapter
 
+from interarea.models.documents import is_time
+
 SCHEMAS = Path(__file__).parent / "schemas"
 TEMPLATES = Path(__file__).parent / "templates"
 #: unit of a key by its end
 UNITS = {
     "_s": "s",
+    "_per_s": "1/s",
+    "_pu_per_s": "pu/s",
+    "_s_per_s": "s/s",
     "_hz": "Hz",
     "_pu": "pu",
     "_mw": "MW",
@@ -95,7 +100,7 @@ def _allow_cycles(result: dict[str, Any]) -> None:
     for part in (result, *result.get("$defs", {}).values()):
         properties = part.get("properties", {})
         for key, rule in properties.items():
-            if key.endswith("_s") and "$ref" not in rule:
+            if is_time(key) and "$ref" not in rule:
                 about = {k: rule[k] for k in ("default", "description", "examples", "title") if k in rule}
                 plain = {k: v for k, v in rule.items() if k not in about}
                 forms = plain.pop("anyOf", None) or [plain]

@@ -279,12 +279,17 @@ def in_seconds(table: Mapping[str, Any], frequency_hz: Callable[[], float]) -> d
     return {key: _moved(key, value, table, frequency_hz) for key, value in table.items()}
 
 
+def is_time(key: str) -> bool:
+    """Whether a key's unit is s."""
+    return key.endswith("_s") and not key.endswith(("_per_s", "_rad_s"))
+
+
 def _moved(key: str, value: Any, table: Mapping[str, Any], frequency_hz: Callable[[], float]) -> Any:
     if isinstance(value, Mapping):
         return in_seconds(value, frequency_hz)
     if isinstance(value, list | tuple):
         return type(value)(_moved(key, part, table, frequency_hz) for part in value)
-    if isinstance(value, str) and key.endswith("_s"):
+    if isinstance(value, str) and is_time(key):
         return _seconds(value, table, frequency_hz)
     return value
 

@@ -11,6 +11,8 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 
+from .documents import is_time
+
 Location = tuple[int | str, ...]
 
 
@@ -92,7 +94,7 @@ def _in_words(own: str, provided: object, message: str) -> str:
     if message.startswith("a valid number") and isinstance(provided, str):
         if _NUMBER.fullmatch(provided.strip()):
             return f"a number, without quotes: {provided.strip()}"
-        if own.endswith("_s"):
+        if is_time(own):
             return 'seconds as a number, or words such as "8 cycles", "100 ms", "1.5 s"'
     if message.startswith("a valid tuple"):
         return "a list in brackets"

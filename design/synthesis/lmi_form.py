@@ -15,6 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from interarea.models.errors import UserError
+
 from ..lmi import regions
 from ..lmi.expressions import Affine, Program, affine, bmat
 from ..lmi.problem import Matrix
@@ -39,13 +41,13 @@ class PoleRegion:
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.damping_ratio < 1.0:
-            raise ValueError(f"pole region: damping_ratio is {self.damping_ratio}, allowed: 0 <= zeta < 1")
+            raise UserError(f"pole region: damping_ratio is {self.damping_ratio}, allowed: 0 <= zeta < 1")
         if self.decay_rate is not None and not (self.decay_rate >= 0.0 and np.isfinite(self.decay_rate)):
-            raise ValueError(f"pole region: decay_rate is {self.decay_rate}, allowed: >= 0 (1/s)")
+            raise UserError(f"pole region: decay_rate is {self.decay_rate}, allowed: >= 0 (1/s)")
         if self.radius is not None and not self.radius > 0.0:
-            raise ValueError(f"pole region: radius is {self.radius}, allowed: > 0 (rad/s)")
+            raise UserError(f"pole region: radius is {self.radius}, allowed: > 0 (rad/s)")
         if self.radius is not None and self.decay_rate is not None and not self.radius > self.decay_rate:
-            raise ValueError(
+            raise UserError(
                 f"pole region: poles left of -{self.decay_rate:g} and inside radius {self.radius:g} "
                 "contradict each other; raise the radius or lower the decay rate"
             )
