@@ -1,6 +1,7 @@
 """What the plant costs, as ratios: against ANDES, a plain C loop, more machines, a batch.
 
-    python benchmarks/bench_plant.py [--andes-python PYTHON] [--repeat 3] [--json FILE] [--switches | --steps]
+    python benchmarks/bench_plant.py [--andes-python PYTHON] [--repeat 3] [--json FILE] [--steps]
+    python benchmarks/bench_plant.py --switches | --links
 
 CPU time of the process that computes, the least of repeated runs that alternate between the sides, so
 that other load of the machine cancels. Both tools get the same rows (andes_rows.py). The accuracy of a run
@@ -8,7 +9,8 @@ is its largest dw difference from the plant at 0.1 ms; the plant's step is its p
 the ratio that counts is at the longest one within 1e-5 pu that is no less accurate than ANDES. ANDES runs
 as it is installed: fixed step, its own tolerance, generated code without numba. --switches: only what
 limiters that switch cost and what order of the error they leave, against the same loop at 0.04 ms.
---steps: only error and cost of several steps after a bus fault of 100 ms, the grid stepped to 5 s.
+--steps: only error and cost of several steps after a bus fault of 100 ms, the grid stepped to 5 s. --links:
+only what a dc link costs, over the grid with loads of its initial powers instead.
 """
 
 from __future__ import annotations
@@ -46,6 +48,7 @@ SWITCH_STEPS_S = (0.005, 0.0025, 0.00125, 0.000625)
 STEPS_S = (0.001, 0.002, 0.0025, 0.005, 0.01)
 STEPPED = {"two-area-thesis": 8, "kundur-thyristor": 8, "new-england": 16, "nets-nyps": 53, "wecc-240": 2408}
 CURRENT = {"loads": {"L7": {"P_exponent": 1.0}, "L9": {"P_exponent": 1.0}}}
+LINKS = {"two-area-hvdc": ("hvdc1", 3), "two-area-actuators": ("vsc1", 8)}  #: link and bus of the fault
 LIMITS = "Efd limits + PSS + TGOV1, bus fault + trip"
 
 
@@ -196,6 +199,45 @@ def print_steps() -> None:
         print(f"{name}: {', '.join(cells)}", flush=True)
 
 
+def without_link(case: Case, link: str) -> Case:
+    """Return the case with loads of a dc link's initial powers, constant impedances, instead of the link."""
+    row = next(row for row in (*case.hvdcs, *case.vscs) if row.name == link)
+    if row in case.vscs:
+        ends = (("from", row.from_bus), ("to", row.to_bus))
+    else:
+        ends = (("rectifier", row.rectifier_bus), ("inverter", row.inverter_bus))
+    plant = PlantSlave(case)
+    names = [f"{link}.{quantity}_{end}" for end, _ in ends for quantity in "pq"]
+    powers = -case.base_mva * plant.outputs(names).reshape(2, 2)
+    plant.close()
+    more = [
+        {"name": f"{link}_{end}", "bus": bus, "P_mw": float(p), "Q_mvar": float(q)}
+        for (end, bus), (p, q) in zip(ends, powers, strict=True)
+    ]
+    loads = (*case.loads, *(type(case.loads[0])(**load) for load in more))
+    kept = {key: tuple(r for r in getattr(case, key) if r is not row) for key in ("hvdcs", "vscs")}
+    return case.model_copy(update={"loads": loads, **kept})
+
+
+def price_of_link(case: Case, link: str, bus: int, repeat: int) -> float:
+    """CPU of 10 s with a fault of 50 ms over that without the link, at the default step, in turns."""
+    fault = {"kind": "bus_fault", "bus": bus, "start_s": 1.0, "end_s": 1.05, "x_pu": 0.1}
+    names = [f"{m.name}_dw" for m in case.machines]
+    events = events_of([fault], where="bench_plant")
+    plants = [PlantSlave(c, events) for c in (case, without_link(case, link))]
+    rest = [plant.outputs([f"bus{b.number}.v" for b in case.buses]) for plant in plants]
+    if not np.abs(rest[0] - rest[1]).max() < 1e-6:
+        raise RuntimeError(f"{case.name} without {link} has another operating point")
+    cost = np.full(2, np.inf)
+    for _ in range(10 * repeat):
+        for k, plant in enumerate(plants):
+            plant.restart()
+            cost[k] = min(cost[k], plant.cpu_s(STOP_S, 0.02, names))
+    for plant in plants:
+        plant.close()
+    return float(cost[0] / cost[1])
+
+
 def batch_gain(case: Case, repeat: int, scenarios: int) -> dict[int, float]:
     """Scenarios per CPU second with several side by side over one at a time, by their number."""
     plants = PlantLanes(case, default_cache())
@@ -217,6 +259,7 @@ def main() -> int:
     parser.add_argument("--json", type=Path, help="write the numbers there")
     parser.add_argument("--switches", action="store_true", help="only what limiters that switch cost")
     parser.add_argument("--steps", action="store_true", help="only error and cost of several steps")
+    parser.add_argument("--links", action="store_true", help="only what a dc link costs")
     options = parser.parse_args()
     case = two_area({"exciter": THYRISTOR})
     numbers: dict[str, Any] = {}
@@ -235,6 +278,11 @@ def main() -> int:
         return False
     if options.switches:
         print_switching(line, options.repeat)
+        return missed
+    if options.links:
+        for name, (link, bus) in LINKS.items():
+            ratio = price_of_link(load_case(name), link, bus, options.repeat)
+            line(f"{name}: with {link} / without", ratio, 1.3, False)
         return missed
     limited = two_area(RUNS[LIMITS][0])
     for what, variant, table, target in (

@@ -28,7 +28,7 @@
  * Many ports on a sparse network are sparse_port.h's. Tangents take one exact Newton step (tangent.c). */
 
 /* What the physics needs at the ports besides sources: air-gap or bus voltages,
- * and at a machine's port its isd, isq. n_port each, one after the other. */
+ * and at a machine's port its isd, isq; isd at the end of a dc link: what it keeps. n_port each, one after the other. */
 typedef struct { num *v_re, *v_im, *isd, *isq; } PortWork;
 
 static inline PortWork port_arrays(num *scratch, size_t n)
@@ -50,7 +50,7 @@ static inline void port_inject(const real *memory, const Plan *plan, size_t firs
             load_injection(row, w.v_re[p], w.v_im[p], re, im);
         } else if (port_is_device(row)) {
             const size_t k = n + index_at(row, P_DEVICE);
-            bus_device_injection(row, x, sine[k], cosine[k], w.v_re[p], w.v_im[p], re, im);
+            bus_device_injection(row, x, sine[k], cosine[k], w.v_re[p], w.v_im[p], re, im, &w.isd[p]);
         } else {
             const size_t k = index_at(row, P_DEVICE);
             const flag on = num_above(NUM(row[P_ON]), NUM(0.5));   /* a tripped machine gives nothing */
