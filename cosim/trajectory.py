@@ -128,14 +128,14 @@ class Trajectory:
         """Write `table` as a Parquet file."""
         import pyarrow.parquet as pq
 
-        pq.write_table(self.table(), path)
+        pq.write_table(self.table(), path, write_page_checksum=True)
 
     @classmethod
     def read_parquet(cls, path: Path) -> Trajectory:
         """Read what `write_parquet` wrote."""
         import pyarrow.parquet as pq
 
-        table = pq.read_table(path)
+        table = pq.read_table(path, page_checksum_verification=True)
         metadata = {f.name: f.metadata or {} for f in table.schema}
         units = {n: m.get(b"unit", b"1").decode() for n, m in metadata.items()}
         texts = {n: m[b"description"].decode() for n, m in metadata.items() if b"description" in m}

@@ -23,7 +23,7 @@ import numpy.typing as npt
 from scipy.ndimage import median_filter
 from scipy.signal import butter, sosfiltfilt
 
-from interarea.models.importers.static import USUAL_HZ
+from interarea.models.devices.language.device import USUAL_HZ
 
 from .record import BAND_HZ, Array, Record, RecordError
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from interarea.fmu_build.open.ports import Description, Port
 from interarea.models.arguments import checked_types
-from interarea.models.importers.static import USUAL_HZ
+from interarea.models.devices.language.device import USUAL_HZ
 
 from .record import Record, RecordError, deviation_hz
 

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from interarea.models.devices.language.device import USUAL_HZ
 from interarea.models.errors import UserError, nearest
-from interarea.models.importers.static import USUAL_HZ
 
 if TYPE_CHECKING:
     import pandas as pd

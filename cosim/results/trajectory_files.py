@@ -89,7 +89,9 @@ class TrajectoryFiles:
             if self._parquet is None:
                 import pyarrow.parquet as pq
 
-                self._parquet = pq.ParquetWriter(self._partial[1].file, table.schema)
+                self._parquet = pq.ParquetWriter(
+                    self._partial[1].file, table.schema, write_page_checksum=True
+                )
             self._parquet.write_table(table)
 
     def __exit__(

@@ -11,7 +11,7 @@ import numpy.typing as npt
 import scipy.integrate
 
 from ..errors import DeviceError, nearest
-from .language.device import KINDS
+from .language.device import KINDS, USUAL_HZ
 from .language.structure import Model
 from .rest import RestPoint, rest_of
 from .rows import numbers_of, row_of
@@ -83,7 +83,7 @@ def response_of(
     point: Mapping[str, float] | None = None,
     *,
     base_mva: float = 100.0,
-    frequency_hz: float = 60.0,
+    frequency_hz: float = USUAL_HZ,
     stop_s: float = 10.0,
 ) -> Response:
     """Return what the device with parameters `provided` does at `point` (values of `POINT` where not given).

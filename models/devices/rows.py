@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from ..errors import DeviceError, nearest
-from .language.device import BASES, FBASE, MBASE, NO_LIMIT, Device, Parameter
+from .language.device import BASES, FBASE, MBASE, NO_LIMIT, USUAL_HZ, Device, Parameter
 from .language.expression import evaluate
 
 Given = float | str | None  #: None: an absent limit; a word: computed at rest
@@ -60,7 +60,7 @@ def numbers_of(
 
 
 def _check(device: Device, row: Mapping[str, Given]) -> None:
-    values = numbers_of(device, row, 100.0, 60.0)
+    values = numbers_of(device, row, 100.0, USUAL_HZ)
     for rule in device.checks:
         names = [name for name in dict.fromkeys(rule.node.names) if name not in BASES]
         computed = (name in device.computed and values[name] == device.computed[name].when for name in names)

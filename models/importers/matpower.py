@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..case.case import case_of
+from ..devices.language.device import USUAL_HZ
 from ..errors import CaseError
 from .document import case_name, document_of, load_exponents
 from .imported import AS_FILED, Imported, ImportOptions
@@ -14,7 +15,7 @@ from .m_file import MFile, read_m_file
 from .places import read_places
 from .raw.text import read_lines
 from .report import Report
-from .static import USUAL_HZ, StaticBranch, StaticBus, StaticGrid, StaticLoad, StaticShunt, StaticUnit
+from .static import StaticBranch, StaticBus, StaticGrid, StaticLoad, StaticShunt, StaticUnit
 from .stored import decide_units_at_load_buses, solve_stored
 from .topology import settle, slacks_of
 

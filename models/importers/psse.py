@@ -11,6 +11,7 @@ from typing import Any
 from ..case.case import Case, case_of, devices_of
 from ..case.document import with_device_texts
 from ..case.hvdc_schema import Hvdc
+from ..devices.language.device import USUAL_HZ
 from ..devices.library import keys_of
 from ..errors import CaseError
 from ..grid.dc_link import link_point
@@ -33,7 +34,7 @@ from .raw.record import Record
 from .raw.transformers import read_transformers
 from .raw.vsc_links import read_vsc_lines
 from .report import Report
-from .static import USUAL_HZ, StaticGrid, StaticLink
+from .static import StaticGrid, StaticLink
 from .stored import decide_units_at_load_buses, solve_stored
 from .topology import settle, slacks_of
 

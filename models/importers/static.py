@@ -13,7 +13,6 @@ from dataclasses import dataclass, field
 from ..errors import CaseError
 
 LOAD, SLACK, UNIT, ISOLATED = 1, 3, 2, 4  #: types of buses as in every such file
-USUAL_HZ = 60.0  #: where a file has no frequency
 
 
 @dataclass(slots=True)

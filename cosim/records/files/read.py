@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from interarea.models.arguments import checked_types
+from interarea.models.devices.language.device import USUAL_HZ
 from interarea.models.errors import nearest
-from interarea.models.importers.static import USUAL_HZ
 
 from ..record import ANGLES, DEVIATION_HZ, UNITS, Array, Channel, Record, RecordError
 from .even import even_times, longest_piece, on_axis, resampled

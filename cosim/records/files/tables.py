@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,7 +14,7 @@ import numpy as np
 from interarea.models.documents import not_utf8, require_regular
 
 from ...trajectory import TIME
-from ..record import Array, Channel, RecordError
+from ..record import UNITS, Array, Channel, RecordError
 from .comtrade import read_comtrade
 from .names import (
     Raw,
@@ -349,32 +349,39 @@ def _parquet(path: Path, rows: int | None) -> Iterator[Table]:
     import pyarrow.parquet as pq
 
     clock = Clock(path)
-    try:
+
+    def frames() -> Iterator[pd.DataFrame]:
         # buffered ahead, every group of rows that was read would stay in memory
-        with pq.ParquetFile(path, pre_buffer=False) as file:
+        with pq.ParquetFile(path, pre_buffer=False, page_checksum_verification=True) as file:
             units = {f.name: (f.metadata or {}).get(b"unit", b"").decode() for f in file.schema_arrow}
-            batches = file.iter_batches(rows) if rows else [file.read()]
-            for batch in batches:
+            for batch in file.iter_batches(rows) if rows else [file.read()]:
                 frame = batch.to_pandas()
                 frame.attrs["units"] = units
-                yield _frame(frame, clock)
-    except (pa.ArrowException, OSError) as error:
-        raise RecordError(f"{path}: is damaged, {str(error).splitlines()[0]}; wanted: {WANTED}") from None
+                yield frame
+
+    parts = frames()
+    while True:
+        try:
+            frame = next(parts, None)
+        except (pa.ArrowException, OSError, ValueError, LookupError, TypeError, AttributeError) as error:
+            # the last four: of what pandas noted in the file
+            said = (str(error).splitlines() or [type(error).__name__])[0]
+            raise RecordError(f"{path}: is damaged, {said}; wanted: {WANTED}") from None
+        if frame is None:
+            return
+        yield _frame(frame, clock)
 
 
 def _frame(frame: pd.DataFrame, clock: Clock) -> Table:
     """Return what a DataFrame holds, by its attrs or the names of its columns."""
     import pandas as pd
 
-    attrs = dict(frame.attrs)
-    units = attrs.get("units", attrs.get("unit", {}))
-    times = [c for c in frame.columns if _TIME_CELL.match(str(c)) or str(c) == TIME]
-    if times:
-        column, frame = frame[times[0]], frame.drop(columns=times[:1])
-    elif frame.index.dtype.kind in "fM" or str(frame.index.name) == TIME:
-        column = frame.index.to_series()
-    else:
-        raise RecordError(f"{clock.source}: no column Time and no index of times, wanted: one of them")
+    if frame.empty:
+        raise RecordError(f"{clock.source}: no samples, wanted: rows of a time and numbers")
+    units, quantities, terminals = (
+        _words(frame, keys, clock.source) for keys in (("units", "unit"), ("quantity",), ("terminal",))
+    )
+    column, frame = _without_time(frame, clock.source)
     clock.unit_s = _time_unit_s(str(column.name), str(units.get(column.name, "")))
     stamps = clock.seconds(column.reset_index(drop=True))
     raws, columns = [], []
@@ -384,7 +391,7 @@ def _frame(frame: pd.DataFrame, clock: Clock) -> Table:
         kind = frame.dtypes.iloc[k]
         if not (pd.api.types.is_numeric_dtype(kind) or pd.api.types.is_bool_dtype(kind)):
             continue
-        known = attrs.get("quantity", {}).get(c, ""), attrs.get("terminal", {}).get(c, "")
+        known = quantities.get(c, ""), terminals.get(c, "")
         unit = units.get(c, "")
         own = None if any(known) else own_channel(name, unit)
         raws.append(own or other_channel(name, unit, *known))
@@ -392,6 +399,33 @@ def _frame(frame: pd.DataFrame, clock: Clock) -> Table:
     if not columns:
         raise RecordError(f"{clock.source}: no column of numbers beside the time, wanted: measurements")
     return Table(stamps, np.column_stack(columns), raws, [], clock.start)
+
+
+def _without_time(frame: pd.DataFrame, source: object) -> tuple[pd.Series[Any], pd.DataFrame]:
+    """Return the times of a DataFrame, and its other columns, none of complex numbers."""
+    times = [k for k, c in enumerate(frame.columns) if _TIME_CELL.match(str(c)) or str(c) == TIME]
+    if times:
+        column, frame = frame.iloc[:, times[0]], frame.iloc[:, np.arange(frame.shape[1]) != times[0]]
+    elif frame.index.dtype.kind in "fM" or str(frame.index.name) == TIME:
+        column = frame.index.to_series()
+    else:
+        raise RecordError(f"{source}: no column Time and no index of times, wanted: one of them")
+    if wrong := [str(c.name) for c in (column, *(c for _, c in frame.items())) if c.dtype.kind == "c"]:
+        raise RecordError(
+            f"{source}: {wrong[0]!r} has complex numbers, wanted: real ones, as magnitude and angle"
+        )
+    return column, frame
+
+
+def _words(frame: pd.DataFrame, keys: Sequence[str], source: object) -> Mapping[Any, str]:
+    """Return what the first of some keys of a DataFrame's attrs says of its columns."""
+    key = next((k for k in keys if k in frame.attrs), keys[0])
+    words = frame.attrs.get(key, {})
+    if not isinstance(words, Mapping) or not all(isinstance(word, str) for word in words.values()):
+        raise RecordError(f"{source}: attrs[{key!r}] is {str(words)[:40]}, wanted: a text for each column")
+    if key == "quantity" and (wrong := sorted(set(words.values()) - UNITS.keys() - {""})):
+        raise RecordError(f"{source}: attrs['quantity'] has {wrong[0]!r}, allowed: {', '.join(UNITS)}")
+    return words
 
 
 def _comtrade(path: Path) -> Table:

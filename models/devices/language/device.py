@@ -144,6 +144,7 @@ OF_CONVERTER = ("converter", "source")  #: kinds of the table converters
 OF_MACHINE = tuple(kind for kind in KINDS if kind not in AT_BUS)
 MBASE = "MBASE"  #: MVA base of the machine or of the device at a bus, known to every device
 FBASE = "FBASE"  #: nominal frequency of the grid in Hz, known to every device
+USUAL_HZ = 60.0  #: nominal frequency where a file has none, Hz
 BASES = (MBASE, FBASE)
 UNITS = ("1", "s", "pu", "pu/s", "rad", "deg", "Hz", "MVA", "1/s")
 

@@ -12,6 +12,7 @@ import pytest
 import interarea as ia
 from interarea.cosim.records.files.read import read_record
 from interarea.cosim.records.record import RecordError
+from interarea.cosim.trajectory import Trajectory
 
 RATE = 30.0
 TIME = np.arange(300) / RATE
@@ -573,3 +574,64 @@ def test_the_clocks_may_change_within_a_record(tmp_path: Path) -> None:
     record = read_record(path)
     assert record.step_s == pytest.approx(0.2)
     assert record.length_s == pytest.approx(99 * 0.2)
+
+
+def frame() -> pd.DataFrame:
+    return pd.DataFrame({"Time": TIME, "VM [kV]": COLUMNS["VM"][1], "VA [deg]": COLUMNS["VA"][1]})
+
+
+@pytest.mark.parametrize(
+    ("key", "words", "says"),
+    [
+        ("units", "kV", r"attrs\['units'\] is kV, wanted: a text for each column"),
+        ("unit", {"VM [kV]": None}, r"attrs\['unit'\] is .* wanted: a text for each column"),
+        ("quantity", {"VM [kV]": "volts"}, r"attrs\['quantity'\] has 'volts', allowed: frequency, speed"),
+        ("terminal", 7, r"attrs\['terminal'\] is 7, wanted"),
+    ],
+)
+def test_wrong_words_on_the_columns_of_a_frame_are_refused(key: str, words: object, says: str) -> None:
+    table = frame()
+    table.attrs[key] = words
+    with pytest.raises(RecordError, match=says):
+        read_record(table)
+
+
+def test_a_frame_without_rows_or_with_phasors_is_refused_and_one_time_of_two_is_used(tmp_path: Path) -> None:
+    with pytest.raises(RecordError, match="the table: no samples, wanted"):
+        read_record(frame().iloc[:0])
+    frame().iloc[:0].to_parquet(tmp_path / "empty.parquet")
+    with pytest.raises(RecordError, match=r"empty\.parquet: no samples, wanted"):
+        read_record(tmp_path / "empty.parquet")
+    with pytest.raises(RecordError, match=r"'VM \[kV\]' has complex numbers, wanted: real ones, as"):
+        read_record(frame().astype({"VM [kV]": complex}))
+    twice = frame().set_axis(["Time", "VM [kV]", "Time"], axis=1)
+    np.testing.assert_array_equal(read_record(twice)["VM"], COLUMNS["VM"][1])
+
+
+def test_a_parquet_file_with_any_byte_changed_is_refused_or_read_as_it_was(tmp_path: Path) -> None:
+    """Pages of a run have checksums; the notes of pandas at the end of a file are a text that can break."""
+    path, rng = tmp_path / "trajectory.parquet", np.random.default_rng(1)
+    columns, units = (
+        {"time_s": TIME, "plant.G1_dw": 1e-3 * np.sin(TIME)},
+        {"time_s": "s", "plant.G1_dw": "pu"},
+    )
+    Trajectory(columns, units).write_parquet(path)
+    theirs = tmp_path / "pandas.parquet"
+    frame().to_parquet(theirs)
+    text = theirs.read_bytes()
+    theirs.write_bytes(text.replace(b'"pandas_type"', b'"pandas_typo"'))
+    with pytest.raises(RecordError, match=r"pandas\.parquet: is damaged"):
+        read_record(theirs)
+    good, right = path.read_bytes(), read_record(path)["plant.G1_dw"]
+    refused = 0
+    for at in rng.integers(4, len(good), 200):
+        path.write_bytes(good[:at] + bytes([good[at] ^ 0x10]) + good[at + 1 :])
+        try:
+            record = read_record(path)
+        except RecordError as error:
+            refused += 1
+            assert "\n" not in str(error)
+            continue
+        if "plant.G1_dw" in [c.name for c in record.channels]:
+            np.testing.assert_array_equal(record["plant.G1_dw"], right)
+    assert refused > 100
