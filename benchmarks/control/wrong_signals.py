@@ -28,7 +28,13 @@ from interarea.cosim.designs.fault_runs import FaultRuns
 from interarea.cosim.run.artefacts import plant_for_controllers
 from interarea.cosim.screen.detector_design import MOST_BUSES, design_detector
 from interarea.cosim.screen.wrong_runs import WrongRun, signals_of
-from interarea.design.controllers.detector_record import FRAMES, load_detector, scores
+from interarea.design.controllers.detector_record import (
+    FRAMES,
+    lasting,
+    load_detector,
+    scores_and_suspects,
+    shares,
+)
 from interarea.fmu_build.write.cache import default_cache
 from interarea.models import detector_defaults as default
 from interarea.models.case.case import Case
@@ -41,6 +47,7 @@ LATENCY_S = {"G2_dw": 0.1, "G4_dw": 0.0, "G1_dw": 0.05, "G3_dw": 0.05}
 RATED_HZ = 60.0
 SWING_HZ, PMU_HZ = 3e-3, 1e-3  # rms between G2 and G4; of each frame
 RECORDS, PART = 400, 5000  # side by side; stamps kept at once
+TESTS = ("pattern", "lasting", "apart", "alone", "rough", "standing")
 
 
 def points(case: Case) -> Iterator[tuple[str, Case]]:
@@ -155,7 +162,7 @@ def ambient(controller: str, design: Path, hours: float) -> None:
     x = np.zeros((len(step), RECORDS))
     stamps = int(hours * 3600.0 / INTERVAL_S / RECORDS)
     before = int(60.0 / INTERVAL_S)  # from rest to stationary
-    most: dict[str, list[float]] = {k: [] for k in ("pattern", "apart", "alone", "rough", "standing")}
+    most: dict[str, list[float]] = {k: [] for k in TESTS}
     done, swing = -before, []
     while done < stamps:
         length = before if done < 0 else min(PART, stamps - done)
@@ -189,19 +196,23 @@ def compared(y: np.ndarray, patterns: Any) -> dict[str, float]:
     mean, spans = windows.mean(axis=2), np.ptp(windows, axis=2)
     bends = np.abs(np.diff(y, n=2, axis=1))[:, : y.shape[1] // 50 * 50 - 50].reshape(len(y), -1, 50)
     bent, of_half = bends.mean(axis=2), np.median(bends, axis=2)
-    result = {"pattern": float(scores(y, patterns).max()) / patterns.threshold}
+    score, suspect = scores_and_suspects(y, patterns)
+    result = {
+        "pattern": float(score.max()) / patterns.threshold,
+        "lasting": float(lasting(score, suspect).max()) / patterns.lasting,
+        "alone": float(shares(y, patterns.floor).max()) / patterns.alone,
+    }
     level = np.sort(spans, axis=0)[-2]
     long = int(default.STANDING_S / INTERVAL_S) * 2 // FRAMES
     if len(level) >= long:  # the last part of a record may be shorter than what it stands for
         lasts = np.lib.stride_tricks.sliding_window_view(level, long)
         result["standing"] = float(lasts.min(axis=1).max()) / default.STANDING_PU
-    each: dict[str, list[float]] = {"apart": [], "alone": [], "rough": []}
+    each: dict[str, list[float]] = {"apart": [], "rough": []}
     for i in range(len(y)):
         others = [j for j in range(len(y)) if j != i]
         most = spans[others].max(axis=0)
         away = np.abs(mean[i] - np.median(mean[others], axis=0))
         each["apart"].append(float((away / (default.APART_PU + default.APART_SHARE * most)).max()))
-        each["alone"].append(float((spans[i] / (patterns.alone * (3.0 * patterns.floor + most))).max()))
         each["rough"].append(float((of_half[i] / (default.ROUGH_PU + 2.0 * bent[others].max(axis=0))).max()))
     return result | {name: max(values) for name, values in each.items()}
 

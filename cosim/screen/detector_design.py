@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -36,10 +36,10 @@ from interarea.models.errors import UserError
 
 from ..designs.fault_runs import TOGETHER, FaultRuns
 from ..run.controllers import controller_of
-from .detector_size import MARGIN, patterns_of
+from .detector_size import LEAST_ALONE, MARGIN, patterns_of
 
 Array = npt.NDArray[np.float64]
-MOST_BUSES = 12  #: that faults are tried at
+MOST_BUSES = 12  #: that faults are tried at, besides those near the machines whose speeds are compared
 MOST_MACHINES = 16  #: that are pulsed, unless more of them are compared
 _SEEN, _BETWEEN = (0.95, 1.05), (0.975, 1.025)  # factors on every load
 _LENGTHS, _LENGTH_BETWEEN = (4, 8), (6,)  # cycles
@@ -75,7 +75,8 @@ def design_detector(
     seen: list[Array] = []
     noisy: list[Array] = []
     kinds = ((seen, _SEEN, _LENGTHS), (noisy, _BETWEEN, _LENGTH_BETWEEN))
-    events = {lengths: list(_events(grid, chosen, lengths)) for _, _, lengths in kinds}
+    near = _near(grid, signals)
+    events = {lengths: list(_events(grid, chosen, lengths, near)) for _, _, lengths in kinds}
     parts = [(into, scale, events[lengths]) for into, scales, lengths in kinds for scale in scales]
     every, ended = sum(len(of_part) for _, _, of_part in parts), 0
     for into, scale, of_part in parts:
@@ -87,7 +88,7 @@ def design_detector(
             progress(ended / every)
     noisy = [curves + noise_pu * random.standard_normal(curves.shape) for curves in noisy]
     floor = 3.0 * noise_pu * (SAMPLES / FRAMES) ** 0.5
-    alone = MARGIN * max(float(shares(c, floor).max()) for c in noisy)
+    alone = MARGIN * max(LEAST_ALONE, *(float(shares(c, floor).max()) for c in noisy))
     patterns = replace(patterns_of(seen, noisy, floor, round(_START_S / interval_s)), alone=alone)
     largest = patterns.threshold / MARGIN
     numbers = (largest, len(seen), len(noisy))
@@ -116,10 +117,23 @@ def _machines(case: Case, signals: Sequence[str]) -> list[Machine]:
     return [*seen, *others[:: max(1, -(-len(others) // room))]]
 
 
-def _events(case: Case, machines: Sequence[Machine], lengths: Sequence[int]) -> Iterator[dict[str, Any]]:
-    """Yield faults at some buses and a pulse on each set-point of a machine; lengths : cycles."""
+def _near(case: Case, signals: Sequence[str]) -> set[int]:
+    """Return the buses of the signals' machines, and those a branch away: a fault there moves one alone."""
+    own = {m.bus for m in case.machines if f"{m.name}_dw" in signals}
+    ends = [{b.from_bus, b.to_bus} for b in case.branches]
+    return own.union(*(pair for pair in ends if pair & own))
+
+
+def _events(
+    case: Case, machines: Sequence[Machine], lengths: Sequence[int], near: Collection[int]
+) -> Iterator[dict[str, Any]]:
+    """Yield faults at some buses, also at those `near`, and a pulse on each set-point of a machine.
+
+    lengths : cycles.
+    """
     buses = [b.number for b in case.buses]
-    chosen = buses[:: -(-len(buses) // MOST_BUSES)]
+    every = -(-len(buses) // MOST_BUSES)
+    chosen = [number for k, number in enumerate(buses) if k % every == 0 or number in near]
     for cycles in lengths:
         end_s = round(_START_S + cycles / case.frequency_hz, 9)
         pulse = {"size_pu": 0.05, "start_s": _START_S, "end_s": _START_S + 0.05 * cycles}

@@ -15,15 +15,19 @@ import numpy.typing as npt
 
 from interarea.design.controllers.detector_record import (
     FRAMES,
+    LASTS,
     SAMPLES,
     basis_of,
-    scores,
+    lasting,
     scores_and_suspects,
 )
 from interarea.models.blocks.detector import Patterns
 
 Array = npt.NDArray[np.float64]
-MARGIN = 1.3  #: of the threshold over the largest score of a right signal
+MARGIN = 1.3  #: of a limit over the largest of right signals
+LEAST = 1.0  #: lasting score of right signals that a limit is at least made of
+#: the same of `alone`: by so much more than the others G3 of two areas swings while there is a sine on G4
+LEAST_ALONE = 1.5
 PER_SIGNAL = (3, 2, 4, 5, 6, 8)  #: directions that are tried, of equal ones the first
 MOVES_PU = 1e-3  #: span from which on a signal is tried
 _BEFORE, _SEEN = 25, 150  # stamps from a disturbance to where a signal goes wrong, and of what follows
@@ -46,9 +50,11 @@ def patterns_of(seen: Sequence[Array], judged: Sequence[Array], floor: float, ev
     signals = len(seen[0])
     best: tuple[int, Patterns] | None = None
     for size in (signals * share for share in PER_SIGNAL):
-        patterns = Patterns(basis_of(seen, floor, size), FRAMES, 1.0, floor, 1e9)
-        threshold = MARGIN * max(float(scores(c, patterns).max()) for c in judged)
-        patterns = replace(patterns, threshold=threshold)
+        patterns = Patterns(basis_of(seen, floor, size), FRAMES, 1.0, 1.0, floor, 1e9)
+        right = [scores_and_suspects(c, patterns) for c in judged]
+        threshold = MARGIN * max(float(score.max()) for score, _ in right)
+        lasts = MARGIN * max(LEAST, *(float(lasting(*one).max()) for one in right))
+        patterns = replace(patterns, threshold=threshold, lasting=lasts)
         worth = rightly_named(judged, patterns, event)
         if best is None or worth > best[0]:
             best = worth, patterns
@@ -61,9 +67,10 @@ def rightly_named(judged: Sequence[Array], patterns: Patterns, event: int) -> in
     count = 0
     for who, curves in _wrong(judged, event):
         score, suspect = scores_and_suspects(curves, patterns)
-        over = np.nonzero(score > patterns.threshold)[0]
-        if len(over):
-            count += 1 if suspect[over[0]] == who else -1
+        over = score > patterns.threshold
+        over[LASTS - 1 :] |= lasting(score, suspect) > patterns.lasting
+        if over.any():
+            count += 1 if suspect[over.argmax()] == who else -1
     return count
 
 

@@ -23,8 +23,11 @@ from interarea.models.files import write_whole
 
 Array = npt.NDArray[np.float64]
 FRAMES, SAMPLES = 4, 12  #: stamps a sample, samples a window
-_SCHEMA = 2
+#: windows in a row that a score lasts for, one more than contain a fault of .16 s (DETECTOR_EVENT in C)
+LASTS = SAMPLES + 3
+_SCHEMA = 3
 _SPAN = round(AVERAGE_S / INTERVAL_S)  # stamps that a span is taken over
+_ALONE, _STEADY = _SPAN * 3 // 2, 0.6  # stamps that a signal swings alone for; STEADY of stamps.c
 
 
 class DetectorDesignError(UserError):
@@ -60,6 +63,7 @@ class DetectorDesign:
             "noise_pu": self.noise_pu,
             "frames": p.frames,
             "threshold": p.threshold,
+            "lasting": p.lasting,
             "floor": p.floor,
             "alone": p.alone,
             "largest": self.largest,
@@ -82,11 +86,11 @@ def load_detector(path: str | Path) -> DetectorDesign:
         basis = np.array(table["basis"], dtype=np.float64)
         if table["schema"] != _SCHEMA or basis.ndim != 3 or len(basis) != len(of["signals"]):
             raise ValueError("another schema, or a basis of other signals")
-        threshold, floor, alone = (float(table[key]) for key in ("threshold", "floor", "alone"))
-        numbers = (int(table["frames"]), threshold, floor, alone)
+        limits = (float(table[key]) for key in ("threshold", "lasting", "floor", "alone"))
+        patterns = Patterns(basis, int(table["frames"]), *limits)
         return DetectorDesign(
             *(str(of["case"]), str(of["controller"]), tuple(map(str, of["signals"]))),
-            *(float(table["interval_s"]), float(table["noise_pu"]), Patterns(basis, *numbers)),
+            *(float(table["interval_s"]), float(table["noise_pu"]), patterns),
             *(float(table["largest"]), int(runs["made_of"]), int(runs["judged_by"])),
         )
     except DocumentError as error:
@@ -133,16 +137,24 @@ def scores_and_suspects(curves: Array, patterns: Patterns) -> tuple[Array, npt.N
     return np.asarray(score), np.asarray(left.argmin(axis=0))
 
 
+def lasting(score: Array, suspect: npt.NDArray[np.int64]) -> Array:
+    """Return the least score of each `LASTS` windows in a row, and 0 where they suspect different signals."""
+    windows_of, suspects = (np.lib.stride_tricks.sliding_window_view(v, LASTS) for v in (score, suspect))
+    return np.where(np.ptp(suspects, axis=1) == 0, windows_of.min(axis=1), 0.0)
+
+
 def shares(curves: Array, floor: float) -> Array:
     """Return by how many times each signal spans more than the others, of curves (signals, stamps).
 
-    The least over as many stamps as a span is taken over: for so long it lasts before it counts.
+    The least over half as many stamps again as a span is taken over: for so long it lasts before it counts. 0
+    where its span does not stay in that time.
     """
     parts = np.lib.stride_tricks.sliding_window_view(curves, _SPAN, axis=1)
     spans = np.ptp(parts, axis=2)
     others = np.array([np.delete(spans, i, axis=0).max(axis=0) for i in range(len(spans))])
     share = spans / (3.0 * floor + others)
-    return np.asarray(np.lib.stride_tricks.sliding_window_view(share, _SPAN, axis=1).min(axis=2))
+    lasts, span = (np.lib.stride_tricks.sliding_window_view(v, _ALONE, axis=1) for v in (share, spans))
+    return np.where(span.min(axis=2) > _STEADY * span.max(axis=2), lasts.min(axis=2), 0.0)
 
 
 def _left(x: Array, V: Array) -> Array:

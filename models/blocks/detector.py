@@ -28,20 +28,22 @@ class Patterns:
     """How right signals move together (semantics: detector/pattern.h).
 
     basis : (signals, samples, size), orthonormal as a matrix of signals * samples rows.
-    frames : stamps that each sample is a mean of. threshold : allowed score. floor : of what is left, pu.
-    alone : how many times the others' span a signal may span.
+    frames : stamps that each sample is a mean of. threshold : allowed score. lasting : allowed score of three
+    more windows in a row than a window has samples. floor : of what is left, pu. alone : how many times the
+    others' span a signal may span.
     """
 
     basis: npt.NDArray[np.float64]
     frames: int
     threshold: float
+    lasting: float
     floor: float
     alone: float
 
     @property
-    def numbers(self) -> tuple[int, float, float, float]:
+    def numbers(self) -> tuple[int, float, float, float, float]:
         """All of it but the basis."""
-        return self.frames, self.threshold, self.floor, self.alone
+        return self.frames, self.threshold, self.lasting, self.floor, self.alone
 
     def of(self, order: Sequence[int]) -> Patterns:
         """Return the patterns of the same signals in another order."""
@@ -140,6 +142,7 @@ def _parameters(signals: Sequence[str], patterns: Patterns | None) -> Iterator[V
             default.APART_SHARE,
         ),
         ("pattern", "Largest score against the patterns", "1", patterns.threshold if patterns else 1.0),
+        ("lasting", "Largest lasting score against the patterns", "1", patterns.lasting if patterns else 1.0),
         ("floor", "Noise floor of the residual of a window", "pu", patterns.floor if patterns else 1.0),
         (
             "alone",

@@ -21,7 +21,8 @@
  *
  *     rough   the median of |u_i(c) - 2 u_i(c - interval) + u_i(c - 2 interval)| over the last ROUGH stamps
  *             > rough[i] + 2 max(mean of the same of u_j),   j another trusted signal
- *     alone   span(u_i) > alone (3 floor + max(span(u_j))), at every stamp of the last `average` seconds
+ *     alone   span(u_i) > alone (3 floor + max(span(u_j))), at every stamp of the last 1.5 `average` seconds, in which
+ *             its least value stays above STEADY of its largest
  *
  *     replay  the last `repeats` frames up to c have the same bits as those some number of frames before (the search
  *             goes back over DETECTOR_FRAMES) and span more than `repeats` times `moving`, while those of another
@@ -30,12 +31,17 @@
  * A swing that has become a cycle comes again, or nearly, in every signal: none is named.
  *
  * A swing bends little from frame to frame and a disturbance bends few frames: noise bends all of them. What moves
- * one machine alone, and by how much, depends on the grid: `alone` comes with the patterns.
+ * one machine alone, and by how much, depends on the grid: `alone` comes with the patterns. What a fault near a
+ * machine leaves dies out; so `alone` outlasts the spans that contain the fault, and asks for a span that stays.
  *
  * With patterns in the record (pattern.h) a third test of all signals at the same stamps:
  *
- *     pattern sqrt(r^2 - r_i^2) / (floor + 3 r_i) > pattern, r_i the least; while one signal is isolated it alone is
- *             tested, while more are, or a flag is down, none
+ *     pattern sqrt(r^2 - r_i^2) / (floor + 3 r_i) > pattern, r_i the least, or > lasting at EVENT more windows in a
+ *             row than a window has samples, all of the same i; while one signal is isolated it alone is tested,
+ *             while more are, or a flag is down, none
+ *
+ * A fault near a machine moves that machine alone, but only windows that contain the fault differ much from the
+ * patterns: `lasting` is for what follows it, and much less than `pattern`.
  *
  * What no test can name shows in the end: a wrong signal keeps a swing alive. With level the second largest of the
  * spans of the signals that are present and pass (of two or more; one of them may be the wrong one),
@@ -60,11 +66,12 @@
 #include "../block/block.h"
 
 enum { DETECTOR_SIGNALS = 32, DETECTOR_FRAMES = 512, DETECTOR_STAMPS = 256, DETECTOR_GAP = 5, DETECTOR_ROUGH = 50 };
+enum { DETECTOR_EVENT = 3 }; /* samples of a window that a fault of .16 s takes part in, beyond those of one instant */
 /* Real inputs: the values, then the ages. */
 /* Real parameters: the common ones, then PER_SIGNAL of each signal. Integer parameter: IP_REPEATS. */
 enum {
-    P_INTERVAL, P_WAIT, P_AVERAGE, P_RETURN, P_MOVING, P_SHARE, P_PATTERN, P_FLOOR, P_ALONE, P_STANDING,
-    P_STANDING_TIME, P_SIGNAL
+    P_INTERVAL, P_WAIT, P_AVERAGE, P_RETURN, P_MOVING, P_SHARE, P_PATTERN, P_LASTING, P_FLOOR, P_ALONE,
+    P_STANDING, P_STANDING_TIME, P_SIGNAL
 };
 enum { S_RANGE, S_JUMP, S_APART, S_ROUGH, PER_SIGNAL };
 enum { IP_REPEATS, IP_COUNT };
@@ -81,7 +88,9 @@ enum {
     M_STAMP, M_STAMPS, M_ALARMS, M_SINCE, M_LEAST, M_MOST, M_STOPPED, M_STOPS, M_UNTIL, M_SIGNALS
 };
 enum {
-    DM_ISOLATED, DM_REASON, DM_FAILED_AT, DM_FAILURES, DM_REPEATS, DM_MOVES, DM_FRAMES, DM_MEAN, DM_SPAN, DM_BEND, DM_ALONE,
+    DM_ISOLATED, DM_REASON, DM_FAILED_AT, DM_FAILURES, DM_REPEATS, DM_MOVES, DM_FRAMES, DM_MEAN, DM_SPAN, DM_BEND,
+    DM_PATTERN, /* windows in a row that left more than `lasting` */
+    DM_ALONE, DM_LEAST, DM_MOST, /* stamp since which a signal swings alone, and the range of its span from there */
     DM_AT_STOP, /* span two averages after all were taken out */
     DM_FRAME, /* stamp and value of each of the last frames */
     DM_ALIGNED = DM_FRAME + 2 * DETECTOR_FRAMES,

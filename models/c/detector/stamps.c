@@ -1,6 +1,7 @@
 #include "stamps.h"
 
-/* A swing whose span falls by less than this in `standing_time` stands: at 0.6 Hz and 15 s a damping of 0.9 %. */
+/* A swing whose span falls by less than this in `standing_time` stands: at 0.6 Hz and 15 s a damping of 0.9 %. One of
+ * a signal alone in 1.5 `average`: at 1.2 Hz and 3 s a damping of 2.3 %. */
 static const double STEADY = 0.6;
 static const double WORSE = 1.5; /* rise of the span after a stop that beats and noise do not make */
 
@@ -99,7 +100,14 @@ void compare_bends(Block *b, double t)
     }
 }
 
-/* Compares the spans over the last `count` stamps, which they have done for as many. */
+/* Starts to watch at the newest stamp whether a signal swings alone. */
+static void alone_from(double *m, double stamps)
+{
+    m[DM_ALONE] = stamps;
+    m[DM_LEAST] = m[DM_MOST] = m[DM_SPAN];
+}
+
+/* Compares the spans over the last `count` stamps, which they have done for half as many more. */
 static void compare_spans(Block *b, double t, size_t count)
 {
     const double stamps = b->memory[M_STAMPS];
@@ -110,8 +118,13 @@ static void compare_spans(Block *b, double t, size_t count)
         double *m = memory_of(b, i);
         const double most = b->p[P_ALONE] * (3.0 * b->p[P_FLOOR] + most_of_others(b, i, DM_SPAN));
         if (others < 3 || !b->iu[i] || isnan(m[DM_MEAN]) || !(m[DM_SPAN] > most)) m[DM_ALONE] = 0.0;
-        else if (m[DM_ALONE] == 0.0) m[DM_ALONE] = stamps;
-        else if (stamps - m[DM_ALONE] + 1.0 >= (double)count) detector_fail(b, i, t, REASON_ALONE);
+        else if (m[DM_ALONE] == 0.0) alone_from(m, stamps);
+        else {
+            m[DM_LEAST] = fmin(m[DM_LEAST], m[DM_SPAN]);
+            m[DM_MOST] = fmax(m[DM_MOST], m[DM_SPAN]);
+            if (!(m[DM_LEAST] > STEADY * m[DM_MOST])) alone_from(m, stamps);
+            else if (stamps - m[DM_ALONE] + 1.0 >= 1.5 * (double)count) detector_fail(b, i, t, REASON_ALONE);
+        }
     }
 }
 

@@ -31,7 +31,7 @@ static const char *wrong(const Block *b)
     if (!(p[P_WAIT] >= 0.0 && p[P_RETURN] >= 0.0 && p[P_MOVING] >= 0.0 && p[P_SHARE] >= 0.0))
         return "wait, return_time, moving and share must not be negative";
     for (int k = P_PATTERN; k <= P_STANDING_TIME; ++k)
-        if (!(p[k] > 0.0)) return "pattern, floor, alone, standing and standing_time must be positive";
+        if (!(p[k] > 0.0)) return "pattern, lasting, floor, alone, standing and standing_time must be positive";
     if (!(b->ip[IP_REPEATS] >= 1)) return "repeats must be at least 1";
     for (size_t i = 0; i < count_of(b); ++i)
         for (int k = 0; k < PER_SIGNAL; ++k)
@@ -128,11 +128,19 @@ static double block_mean(const Block *b, size_t i, size_t back, size_t count)
     return sum / (double)count;
 }
 
+/* Counts a window in which a signal left more than `lasting`, if it did; how many there were in a row of this one. */
+static double lasts(Block *b, size_t named, int more)
+{
+    for (size_t i = 0; i < count_of(b); ++i)
+        memory_of(b, i)[DM_PATTERN] = more && i == named ? memory_of(b, i)[DM_PATTERN] + 1.0 : 0.0;
+    return more ? memory_of(b, named)[DM_PATTERN] : 0.0;
+}
+
 /* Compares the last window of all signals with the patterns of the record; the newest stamp is in memory. */
 static void compare_patterns(Block *b, const Patterns *patterns, double t)
 {
     const size_t n = count_of(b), L = patterns->samples, frames = patterns->frames;
-    double *x = b->scratch + n, whole, allowed, least = INFINITY;
+    double *x = b->scratch + n, whole, score, least = INFINITY;
     size_t isolated = 0, named = n;
 
     if (b->memory[M_STAMPS] + 1.0 < (double)(frames * L)) return;
@@ -144,15 +152,18 @@ static void compare_patterns(Block *b, const Patterns *patterns, double t)
         for (size_t s = 0; s < L; ++s) x[i * L + s] = block_mean(b, i, (L - 1 - s) * frames, frames);
     }
     whole = pattern_left(patterns, x, n);
-    if (isnan(whole) || isolated > 1) return; /* a value is missing, or too few are left to compare */
+    if (isnan(whole) || isolated > 1) { /* a value is missing, or too few are left to compare */
+        lasts(b, n, 0);
+        return;
+    }
     for (size_t i = 0; i < n; ++i) {
         const double left = pattern_left(patterns, x, i);
         if (isolated == 1 ? i != named : left >= least) continue;
         least = left;
         named = i;
     }
-    allowed = b->p[P_PATTERN] * (b->p[P_FLOOR] + 3.0 * least);
-    if (whole * whole - least * least > allowed * allowed)
+    score = sqrt(fmax(whole * whole - least * least, 0.0)) / (b->p[P_FLOOR] + 3.0 * least);
+    if (lasts(b, named, score > b->p[P_LASTING]) >= (double)(L + DETECTOR_EVENT) || score > b->p[P_PATTERN])
         detector_fail(b, named, t, REASON_PATTERN);
 }
 

@@ -17,6 +17,7 @@ from interarea.cosim.screen.detector_design import (
     MOST_MACHINES,
     _events,
     _machines,
+    _near,
     design_detector,
 )
 from interarea.models.case.case import load_case
@@ -31,12 +32,23 @@ def test_the_runs_of_a_design_are_ones_that_the_grid_can_have(name: str) -> None
     chosen = _machines(case, signals)
     assert {m.name for m in chosen} >= {s.removesuffix("_dw") for s in signals}
     assert len(chosen) == len({m.name for m in chosen}) <= MOST_MACHINES
-    events = list(_events(case, chosen, (4,)))
+    near = _near(case, signals)
+    events = list(_events(case, chosen, (4,), near))
     assert wrong_targets(case, [event_of(e, where="event") for e in events], case.name) == []
     kinds = [e["kind"] for e in events]
     assert kinds.count("pm_pulse") == len(chosen)
     assert kinds.count("vref_pulse") == sum(m.exciter.kind != "constant" for m in chosen)
-    assert 3 <= kinds.count("bus_fault") <= MOST_BUSES
+    assert 3 <= kinds.count("bus_fault") <= MOST_BUSES + len(near)
+    assert near <= {e["bus"] for e in events if e["kind"] == "bus_fault"}
+
+
+def test_faults_are_also_at_the_machines_whose_speeds_are_compared() -> None:
+    """Bus 2630 of G2630 has one branch, to bus 2610; none of them is among every 21st bus."""
+    case = load_case("wecc-240")
+    assert _near(case, ["G2630_dw"]) == {2630, 2610}
+    faults = [[e["bus"] for e in _events(case, [], (4,), near)] for near in ((), (2630, 2610))]
+    assert {*faults[1]} - {*faults[0]} == {2630, 2610}
+    assert len(faults[1]) == len(faults[0]) + 2
 
 
 def test_machines_that_are_pulsed_are_spread_over_a_large_grid() -> None:

@@ -5,8 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from interarea.cosim.screen.detector_size import MARGIN, PER_SIGNAL, patterns_of, rightly_named
-from interarea.design.controllers.detector_record import FRAMES, basis_of, scores
+from interarea.cosim.screen.detector_size import LEAST, MARGIN, PER_SIGNAL, patterns_of, rightly_named
+from interarea.design.controllers.detector_record import (
+    FRAMES,
+    basis_of,
+    lasting,
+    scores,
+    scores_and_suspects,
+)
 from interarea.models.blocks.detector import Patterns
 
 SIGNALS, STAMPS, EVENT, FRAME_S = 6, 300, 100, 0.02
@@ -31,9 +37,10 @@ def runs(count: int, seed: int) -> list[np.ndarray]:
 
 
 def of_size(size: int, seen: list[np.ndarray], judged: list[np.ndarray]) -> Patterns:
-    free = Patterns(basis_of(seen, FLOOR, size), FRAMES, 1.0, FLOOR, 1e9)
+    free = Patterns(basis_of(seen, FLOOR, size), FRAMES, 1.0, 1.0, FLOOR, 1e9)
     largest = max(float(scores(c, free).max()) for c in judged)
-    return Patterns(free.basis, FRAMES, MARGIN * largest, FLOOR, 1e9)
+    lasts = MARGIN * max(LEAST, *(float(lasting(*scores_and_suspects(c, free)).max()) for c in judged))
+    return Patterns(free.basis, FRAMES, MARGIN * largest, lasts, FLOOR, 1e9)
 
 
 def test_the_size_is_the_one_that_names_most_wrong_signals() -> None:
@@ -42,6 +49,7 @@ def test_the_size_is_the_one_that_names_most_wrong_signals() -> None:
     chosen = patterns_of(seen, judged, FLOOR, EVENT)
     k = chosen.basis.shape[2] // SIGNALS
     assert worth[k] == max(worth.values()) > 0
+    assert chosen.lasting == pytest.approx(of_size(k * SIGNALS, seen, judged).lasting)
     # of seven modes the sine and the cosine: twelve directions, enough for two areas, are too few
     assert chosen.basis.shape[2] > 12
     assert worth[k] > rightly_named(judged, of_size(12, seen, judged), EVENT)
@@ -55,5 +63,5 @@ def test_another_name_counts_against_a_size() -> None:
     order = np.roll(np.arange(SIGNALS), 1)
     moved = [c[order] for c in judged]
     assert rightly_named(moved, patterns.of(order), EVENT) == rightly_named(judged, patterns, EVENT) > 0
-    confused = Patterns(patterns.basis[order], FRAMES, 1e-9, FLOOR, 1e9)
+    confused = Patterns(patterns.basis[order], FRAMES, 1e-9, 1e9, FLOOR, 1e9)
     assert rightly_named(judged, confused, EVENT) < 0

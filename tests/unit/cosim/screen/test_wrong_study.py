@@ -98,6 +98,7 @@ def test_a_grid_of_five_areas_has_its_own_detector(tmp_path: Path, monkeypatch: 
     monkeypatch.setattr(detector_size, "PER_SIGNAL", (5,))  # what the whole choice comes to
     monkeypatch.setattr(detector_design, "MOST_BUSES", 2)
     monkeypatch.setattr(detector_design, "MOST_MACHINES", 6)
+    monkeypatch.setattr(detector_design, "_near", lambda *_: ())
     monkeypatch.setattr(detector_design, "_SEEN", (0.95,))
     monkeypatch.setattr(detector_design, "_BETWEEN", (1.025,))
     table = load_design("nets_nyps")

@@ -14,12 +14,15 @@ from fmu_runner import Runner
 from interarea.cosim.screen.detector_design import main
 from interarea.design.controllers.detector_record import (
     FRAMES,
+    LASTS,
     SAMPLES,
     DetectorDesign,
     DetectorDesignError,
     basis_of,
+    lasting,
     load_detector,
     scores,
+    scores_and_suspects,
     shares,
 )
 from interarea.fmu_build.write.package import build_fmu
@@ -46,7 +49,7 @@ def swing(phases: tuple[float, float], sizes: tuple[float, float] = (1e-3, 3e-4)
 def patterns() -> Patterns:
     random = np.random.default_rng(3)
     curves = [swing(tuple(random.uniform(0, 6.3, 2)), tuple(random.uniform(0, 1e-3, 2))) for _ in range(30)]
-    return Patterns(basis_of(curves, FLOOR, size=6), FRAMES, THRESHOLD, FLOOR, 1e9)
+    return Patterns(basis_of(curves, FLOOR, size=6), FRAMES, THRESHOLD, 1e9, FLOOR, 1e9)
 
 
 @pytest.fixture(scope="module")
@@ -91,6 +94,26 @@ def test_the_c_names_what_numpy_names_at_the_same_stamp(
     assert (first - WRONG) * FRAME_S < 1.0
 
 
+def test_a_small_score_counts_when_it_lasts(patterns: Patterns, tmp_path: Path) -> None:
+    """1.2 times the signal leaves less than the threshold; what a fault leaves is over before it counts."""
+    curves = swing((0.3, 1.0))
+    curves[2, WRONG:] *= 1.2
+    score, suspect = scores_and_suspects(curves, patterns)
+    both = replace(patterns, threshold=1.1 * score.max(), lasting=0.1 * score.max())
+    path = build_fmu(detector_block(SIGNALS, patterns=both), tmp_path / "lasting.fmu")
+    reasons, first = named(path, curves)
+    assert reasons == {s: "pattern" if s == "c" else "trusted" for s in SIGNALS}
+    before = np.nonzero(lasting(score, suspect) > both.lasting)[0][0] + LASTS - 1
+    assert first == (before + SAMPLES) * FRAMES - 1
+    assert LASTS * FRAMES <= first - WRONG + 1 < 2 * LASTS * FRAMES
+    curves = swing((0.3, 1.0))
+    curves[2, WRONG + 2 : WRONG + 10] += 1e-4  # .16 s
+    score, suspect = scores_and_suspects(curves, patterns)
+    assert both.threshold > score.max() > both.lasting
+    assert np.sum(score > both.lasting) == LASTS - 1
+    assert named(path, curves)[1] is None
+
+
 def test_a_swing_that_no_run_has_shown_is_trusted(detector: Path) -> None:
     """Other sizes and phases of the same modes; and a motion of all signals of another frequency."""
     assert named(detector, swing((2.0, 4.0), (2e-3, 2e-3)))[1] is None
@@ -116,13 +139,39 @@ def test_what_moves_alone_is_named_where_numpy_says(patterns: Patterns, tmp_path
     strict = replace(patterns, threshold=1e6, alone=4.0)
     path = build_fmu(detector_block(SIGNALS, patterns=strict), tmp_path / "alone.fmu")
     curves = swing((0.3, 1.0), (2e-5, 0.0))
-    curves[2, WRONG:] += 5e-4 * np.sin(0.08 * np.arange(STAMPS - WRONG))
+    t = FRAME_S * np.arange(STAMPS - WRONG)
+    sine = 5e-4 * np.sin(4.0 * t)
+    curves[2, WRONG:] += sine
     reasons, first = named(path, curves)
     assert reasons == {s: "alone" if s == "c" else "trusted" for s in SIGNALS}
     share = shares(curves, FLOOR)
-    assert share.shape == (4, STAMPS - 2 * 99)
-    assert first == np.nonzero((share > 4.0).any(axis=0))[0][0] + 2 * 99
+    assert share.shape == (4, STAMPS - 99 - 149)
+    assert first == alone_from(curves, 4.0)
+    # that it may not fall is asked since it began, not of the last 3 s: later by what the span grows
+    assert 0 <= first - (np.nonzero((share > 4.0).any(axis=0))[0][0] + 99 + 149) < 25
     assert np.delete(share, 2, axis=0).max() < 4.0
+    # a machine that swings alone after a fault near it: as far, for as long, but it dies out
+    curves[2, WRONG:] += sine * (4.0 * np.exp(-0.6 * t) - 1.0)
+    spans = np.ptp(np.lib.stride_tricks.sliding_window_view(curves, 100, axis=1), axis=2)
+    assert np.all((spans[2] > 4.0 * (3.0 * FLOOR + np.delete(spans, 2, axis=0).max(axis=0)))[-200:])
+    assert named(path, curves)[1] is None
+    assert shares(curves, FLOOR).max() < 4.0
+
+
+def alone_from(curves: np.ndarray, limit: float) -> int:
+    """The stamp at which signal 2 has swung alone for 150, by the words of detector.h."""
+    since, least, most = None, 0.0, 0.0
+    for k in range(99, STAMPS):
+        spans = np.ptp(curves[:, k - 99 : k + 1], axis=1)
+        if not spans[2] > limit * (3.0 * FLOOR + np.delete(spans, 2).max()):
+            since = None
+            continue
+        least, most = min(least, spans[2]), max(most, spans[2])
+        if since is None or not least > 0.6 * most:
+            since, least, most = k, spans[2], spans[2]
+        if k - since + 1 >= 150:
+            return k
+    raise AssertionError("never")
 
 
 def test_a_design_is_written_and_read(patterns: Patterns, tmp_path: Path) -> None:
