@@ -111,7 +111,7 @@ def import_case(
     imported = import_grid(grid, dyr, options)
     if report is not None:
         growth = growth_at_rest(imported.case, default_cache())
-        report(imported.report.text() + ("" if growth is None else f"\nat rest {growth.text}"))
+        report(imported.report.text() + ("" if growth is None else f"\nat the equilibrium: {growth.text}"))
     return imported.case
 
 

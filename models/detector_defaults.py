@@ -4,6 +4,8 @@ Tuned on the clean runs and the twelve kinds of wrong signals of docs/wrong_sign
 frequency.
 """
 
+#: how a message says where the file of a detector comes from
+DETECTOR_WRITER = "`python -m interarea.cosim.screen.detector_design` writes one"
 INTERVAL_S = 0.02  #: between frames: 50 a second, as most PMUs send
 RANGE_PU = 0.05  #: largest magnitude: 3 Hz of 60
 JUMP_PU_PER_S = 0.24  #: largest change: that of a machine of H = 2.1 s that loses its whole power

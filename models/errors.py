@@ -72,7 +72,7 @@ def nearest(name: object, known: Iterable[object]) -> str:
     if close:
         return f"did you mean {' or '.join(close)}?"
     return (
-        f"allowed: {', '.join(names[:20])}{', ...' if len(names) > 20 else ''}" if names else "there is none"
+        f"allowed: {', '.join(names[:20])}{', ...' if len(names) > 20 else ''}" if names else "there are none"
     )
 
 

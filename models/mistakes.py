@@ -91,16 +91,30 @@ def _placed(key: str, own: str, text: str) -> str:
 
 def _in_words(own: str, provided: object, message: str) -> str:
     """Return what is allowed as who writes files says it."""
-    if message.startswith("a valid number") and isinstance(provided, str):
-        if _NUMBER.fullmatch(provided.strip()):
-            return f"a number, without quotes: {provided.strip()}"
-        if is_time(own):
-            return 'seconds as a number, or words such as "8 cycles", "100 ms", "1.5 s"'
-    if message.startswith("a valid tuple"):
-        return "a list in brackets"
-    return message.removeprefix("Tuple should have ").replace(" after validation", "")
+    number = _NUMBER.fullmatch(provided.strip()) if isinstance(provided, str) else None
+    if message.startswith("a valid number") and isinstance(provided, str) and is_time(own) and not number:
+        return 'seconds as a number, or words such as "8 cycles", "100 ms", "1.5 s"'
+    for begin, allowed in _ALLOWED.items():
+        if message.startswith(begin):
+            return f"{allowed}, without quotes: {number[0]}" if number and "number" in allowed else allowed
+    return _COUNTED.sub("", message).replace(" after validation", "")
 
 
+#: how pydantic's messages begin -> what is allowed
+_ALLOWED = {
+    "a valid integer": "a whole number",
+    "a valid number": "a number",
+    "a valid boolean": "true or false, without quotes",
+    "a valid string": "a text in quotes",
+    "a valid tuple": "a list in brackets",
+    "a valid list": "a list in brackets",
+    "String should match pattern '^[A-Za-z][": "a letter, then letters, digits and _",
+    "String should match pattern '^[A-Za-z_]": "a letter or _, then letters, digits and _",
+    "String should match pattern '^[A-Za-z0-9][": "a letter or digit, then letters, digits and _ . -",
+    r"String should match pattern '^\S": "a text without blanks at its ends",
+    "String should match pattern '^[-+]?": "a printed number, such as 0.12",
+}
+_COUNTED = re.compile(r"^(Tuple|List|String|Dictionary|Value) should have ")
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 
 
@@ -113,15 +127,23 @@ def _one_of(key: str, provided: object, allowed: str) -> str:
 
 def _followed(model: Any, location: Location) -> tuple[list[str], list[str]]:
     """Return a location in the words of the file, and the keys that stand beside its last part."""
-    models, words, known = _members(model), [], list[str]()
+    models, words, known = _members(model), list[str](), list[str]()
     for k, part in enumerate(location):
         known = _keys(models) or known
         there = [m for t in models for m in _inside(t, part)]
         form = [t for t in models if _is_table(t) and (part in _kinds(t) or part == t.__name__)]
         if there or (not form and k == len(location) - 1 and not _is_form(part)):
-            words.append(str(part))
+            _add(words, part)
         models = there or form or models
     return words, known
+
+
+def _add(words: list[str], part: int | str) -> None:
+    """Add a part of a location to its words; a row of a list by its number, the first is 1."""
+    if isinstance(part, int) and words:
+        words[-1] += f" {part + 1}"
+    else:
+        words.append(str(part))
 
 
 def _is_table(kind: Any) -> bool:

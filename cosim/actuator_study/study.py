@@ -13,7 +13,7 @@ from interarea.models.case.case import Case
 from interarea.models.files import write_rows, write_whole
 from interarea.models.threads import one_thread
 
-from ..errors import ScenarioError
+from ..errors import ScenarioError, nearest
 from ..grid_study.automatic import Report
 from ..grid_study.choices import Choices
 from ..grid_study.clock import Clock
@@ -134,7 +134,7 @@ def kinds_of(names: Sequence[str]) -> tuple[str, ...]:
     """
     for name in names:
         if name not in KINDS:
-            raise ScenarioError(f"--actuator {name}: not a kind of actuator, allowed: {', '.join(KINDS)}")
+            raise ScenarioError(f"--actuator {name}: not a kind of actuator; {nearest(name, KINDS)}")
     return tuple(kind for kind in KINDS if not names or kind in names)
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from interarea.models.bundled import bundled, bundled_elsewhere, meant
 from interarea.models.case.document import case_names
+from interarea.models.detector_defaults import DETECTOR_WRITER
 from interarea.models.documents import require_regular
 from interarea.models.errors import CaseError
 from interarea.models.importers.published import FORMATS, not_alone
@@ -96,4 +97,4 @@ def require_text(name: str) -> None:
 
 def require_detector(name: str) -> None:
     """Require a regular file, which is not read. Raises ScenarioError."""
-    require_regular(Path(name), "the file of a detector; `DetectorDesign.save` writes one", ScenarioError)
+    require_regular(Path(name), f"the file of a detector; {DETECTOR_WRITER}", ScenarioError)

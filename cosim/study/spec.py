@@ -58,12 +58,12 @@ def load_study(name: str) -> Mapping[str, Any]:
 
 def _by_key(line: str, spec: Mapping[str, Any]) -> str:
     """Return a mistake with the name of its figure or scenario in place of its number."""
-    match = re.match(r"(figure|scenario)\.(\d+)(?:[.:] ?)?", line)
+    match = re.match(r"(figure|scenario) (\d+)(?:[.:] ?)?", line)
     if match is None:
         return line
-    row = spec[match[1]][int(match[2])]
+    row = spec[match[1]][int(match[2]) - 1]
     provided = row.get("key", row.get("name")) if isinstance(row, Mapping) else None
-    return f"{match[1]} {provided or int(match[2]) + 1}: {line[match.end() :]}"
+    return f"{match[1]} {provided or match[2]}: {line[match.end() :]}"
 
 
 def _wrong_names(spec: Mapping[str, Any], where: str) -> list[str]:

@@ -317,7 +317,7 @@ class StudyTable(Table):
             *self._of_margin(),
             *self._disturbances(),
             *self._runners(),
-            *(line for k, row in enumerate(self.figure) for line in self._of_figure(k, row)),
+            *(line for k, row in enumerate(self.figure, 1) for line in self._of_figure(k, row)),
         ]
         for key, names in (
             ("scenario", [row.name for row in self.scenario]),
@@ -337,7 +337,7 @@ class StudyTable(Table):
 
     def _disturbances(self) -> Iterator[str]:
         """Yield each disturbance that is not there; that of `survival` has a bus fault."""
-        named = {f"scenario.{k}": row.disturbance for k, row in enumerate(self.scenario)}
+        named = {f"scenario {k}": row.disturbance for k, row in enumerate(self.scenario, 1)}
         named["latency"] = self.latency.disturbance
         if self.packets is not None:
             named["packets.jitter"] = self.packets.jitter.disturbance
@@ -351,8 +351,8 @@ class StudyTable(Table):
 
     def _runners(self) -> Iterator[str]:
         """Yield each controller of a run that is not bundled."""
-        for k, row in enumerate(self.scenario):
-            yield from _strange(f"scenario.{k}.controller", [row.controller], NAMED_CONTROLLERS)
+        for k, row in enumerate(self.scenario, 1):
+            yield from _strange(f"scenario {k}.controller", [row.controller], NAMED_CONTROLLERS)
         if self.survival is not None:
             known = [name for name in NAMED_CONTROLLERS if name != "none"]
             yield from _strange("survival.controllers", self.survival.controllers, known)
@@ -362,11 +362,11 @@ class StudyTable(Table):
     def _of_figure(self, k: int, row: Figure) -> Iterator[str]:
         """Yield what a figure shows that is not there."""
         runs = [*getattr(row, "runs", {}).values(), *filter(None, [getattr(row, "reference", None)])]
-        yield from _strange(f"figure.{k}: run", runs, self.runs)
+        yield from _strange(f"figure {k}: run", runs, self.runs)
         if isinstance(row, BodeFigure):
-            yield from _strange(f"figure.{k}: controller", [row.controller], self.controllers)
+            yield from _strange(f"figure {k}: controller", [row.controller], self.controllers)
         if isinstance(row, SingularValuesFigure):
-            yield from _strange(f"figure.{k}: reduction", [row.reduction], self.reduction)
+            yield from _strange(f"figure {k}: reduction", [row.reduction], self.reduction)
 
 
 def _strange(what: str, names: Iterable[str], known: Iterable[str]) -> Iterator[str]:

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from interarea.models.blocks.detector import Patterns
-from interarea.models.detector_defaults import AVERAGE_S, INTERVAL_S
+from interarea.models.detector_defaults import AVERAGE_S, DETECTOR_WRITER, INTERVAL_S
 from interarea.models.documents import DocumentError, read_document
 from interarea.models.errors import UserError
 from interarea.models.files import write_whole
@@ -94,9 +94,10 @@ def load_detector(path: str | Path) -> DetectorDesign:
             *(float(table["largest"]), int(runs["made_of"]), int(runs["judged_by"])),
         )
     except DocumentError as error:
-        raise DetectorDesignError(f"{error}; `DetectorDesign.save` writes one") from None
+        raise DetectorDesignError(f"{error}; {DETECTOR_WRITER}") from None
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise DetectorDesignError(f"{path}: not a detector file ({error}); design a detector") from None
+        why = f"no key {error}" if isinstance(error, KeyError) else error
+        raise DetectorDesignError(f"{path}: not a detector file ({why}); {DETECTOR_WRITER}") from None
 
 
 def windows(curves: Array, frames: int, samples: int) -> Array:

@@ -45,8 +45,7 @@ Minutes = Annotated[
         "--minutes",
         metavar="MIN",
         min=0.1,
-        help="of a grid: processor time at most (else 10, worth 30, actuators 40, inverters 60); the rest "
-        "is omitted",
+        help="processor time at most, for a grid 10 unless given; the rest is omitted",
     ),
 ]
 OutFolder = Annotated[
@@ -263,14 +262,14 @@ def _named_grids(names: Iterable[str]) -> dict[str, Case]:
 def _require_grids(names: Iterable[str]) -> None:
     """Require that each option --grid means a grid, before what studies them is loaded."""
     from interarea.models.case.document import case_names
-    from interarea.models.errors import UserError
+    from interarea.models.errors import UserError, nearest
 
     from .grids import names_grid
 
     for name in names:
         if not names_grid(name):
-            allowed = f"a case file, .raw, .rawx, .m, or one of {', '.join(case_names())}"
-            raise UserError(f"--grid {name}: not a grid, allowed: {allowed}")
+            near = f"{nearest(name, case_names())} (or a case file, .raw, .rawx, .m)"
+            raise UserError(f"--grid {name}: not a grid; {near}")
 
 
 def _show_study(

@@ -215,6 +215,8 @@ def _path(location: Sequence[int | str], raw: Mapping[str, Any]) -> list[str]:
     for part in location:
         if path and path[-1] in ROW_TABLES and isinstance(part, int):
             path.append(str(raw[path[-1]][part][ROW_TABLES[path[-1]]]))
+        elif len(path) == 2 and part == ROW_TABLES.get(path[0]):
+            continue  # a row's id is the key of its table
         elif part not in _KINDS:
             path.append(str(part))
     return path

@@ -106,8 +106,14 @@ def _strangers(document: Mapping[str, Any], change: Mapping[str, Any]) -> Iterat
             nearby = f"{table}.{name}: there is no {name!r} to change; {nearest(name, known)}"
             if row == REMOVED or (table == "buses" and name not in _ends(change)):
                 yield nearby
-            elif isinstance(row, Mapping) and (missing := _needed(table, {*keys, *row})):
+            elif isinstance(row, Mapping) and known and (missing := _needed_more(table, keys, row)):
                 yield f"{nearby} (a new one needs {', '.join(missing)})"
+
+
+def _needed_more(table: str, keys: Set[str], row: Mapping[str, Any]) -> list[str]:
+    """Return the keys that a row lacks; none where it has most of them: a new one, checked as such."""
+    needed, missing = _needed(table, keys), _needed(table, {*keys, *row})
+    return missing if 2 * len(missing) >= len(needed) else []
 
 
 def _needed(table: str, given: Set[str]) -> list[str]:

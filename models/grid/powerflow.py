@@ -239,11 +239,11 @@ def _no_convergence(
     size = best.at_bus(free_angle, free_magnitude)
     k = int(np.argmax(size))
     low, high = (int(f(np.abs(best.voltages))) for f in (np.argmin, np.argmax))
-    profile = ", ".join(f"{abs(best.voltages[j]):.3g} at bus {case.buses[j].number}" for j in (low, high))
+    ends = (f"{abs(best.voltages[j]):.3g} pu at bus {case.buses[j].number}" for j in (low, high))
     return (
         f"{start}: worst mismatch {size[k]:.3g} pu at bus {case.buses[k].number} "
         f"(best iterate: number {best.iteration}), allowed: {TOLERANCE_PU:g} pu; its voltages range from "
-        f"{profile} pu; {advice}"
+        f"{' to '.join(ends)}; {advice}"
     )
 
 

@@ -33,7 +33,7 @@ class Asked:
 
     def check_names(self) -> None:
         """Raise UserError for a kind or a disturbance that there is not."""
-        from interarea.models.errors import UserError
+        from interarea.models.errors import UserError, nearest
 
         if not (self.kinds or self.disturbances):
             return
@@ -47,7 +47,7 @@ class Asked:
         ):
             for name in given:
                 if name not in allowed:
-                    raise UserError(f"{option} {name}: allowed: {', '.join(allowed)}")
+                    raise UserError(f"{option} {name}: no such one; {nearest(name, allowed)}")
 
 
 def study_wrong(out: Path, asked: Asked) -> tuple[dict[str, Any], Path, Sequence[str], list[str]]:

@@ -65,6 +65,7 @@ def meter(
         typer.Option(
             "--every",
             metavar="SECONDS",
+            min=1.0,
             help="track each oscillation through parts of this length, such as 600, in a long file",
         ),
     ] = None,

@@ -70,7 +70,7 @@ def test_modes_with_a_late_controller(interarea) -> None:  # type: ignore[no-unt
         (("--controller", "active"), "--controller active: a bank switches between controllers"),
         (
             ("--below", "0.2", "--load-scale", "4"),
-            "the power flow does not converge: worst mismatch",
+            " pu at bus 9 to ",
         ),
         (("--latency", "0.1"), "--latency 0.1 needs a controller; name one with --controller"),
     ],

@@ -166,7 +166,7 @@ def test_a_fault_is_not_survived_where_the_loop_grows_later_than_the_run_shows(
         (["actuators", "--mva", "500"], "--mva 500: hvdc1 (LCC dc link) of two-area-actuators has 100 MVA"),
         (
             ["actuators", "--actuator", "flywheel"],
-            "--actuator flywheel: not a kind of actuator, allowed: exciter",
+            "--actuator flywheel: not a kind of actuator; there are: exciter",
         ),
         (["actuators", "--grid", "two-area-thesis"], "two-area-thesis: no LCC dc link in this grid"),
         (["actuators", "--grid", "kundur-pss"], "kundur-pss: no weak inter-area mode"),

@@ -153,9 +153,9 @@ def test_times_of_a_study_may_be_in_cycles_and_its_case_lie_beside_it(tmp_path: 
     ("text", "said"),
     [
         ('[[statement]]\nwhere = "1"\ncheck = "a"\nsays = "b"\nours = "c"\nparts = ["1 < 2"]\n',
-         "statement.0.evidence is missing"),
+         "statement 1.evidence is missing"),
         ('[[modes]]\nprinted_as = "M1"\nmode = "inter-area"\nfrequency_hz = 0.6\ndamping_ratio = "0.1"\n',
-         "modes.0.frequency_hz = 0.6, allowed: a valid string"),
+         "modes 1.frequency_hz = 0.6, allowed: a text in quotes"),
         ('[[corection]]\nwhere = "1"\n', "corection.*no such key; did you mean 'correction'"),
         ('title = "x"\nstop_s = 1.0\n', "is a scenario .*wanted: a claims"),
     ],
