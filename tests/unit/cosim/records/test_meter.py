@@ -19,6 +19,7 @@ from interarea.cosim.records.record import Record, RecordError
 
 sys.path.append(str(Path(__file__).parents[4] / "benchmarks" / "records"))
 from ambient_coverage import LinearRecords
+from forced_or_modal import SINE, of_least_damped, with_swing
 
 CASE = "kundur-manual"
 Z, F = 0.0323, 0.5455  # damping ratio and frequency of its inter-area mode, of which `exact` makes sure
@@ -118,6 +119,23 @@ def test_a_slow_line_is_not_bent_at_the_ends_of_a_record(seed: int) -> None:
     result = meter(with_sine(ambient(seed, 60.0), 0.2, 3.0))
     assert result.swings[0].kind == "forced"
     assert result.swings[0].frequency_hz == pytest.approx(0.2, abs=0.001)
+
+
+@pytest.mark.parametrize("number", [66, 234])
+def test_a_slow_line_three_times_the_ambient_motion_is_forced_after_a_minute(number: int) -> None:
+    """Lines at 0.23 and 0.24 Hz of the benchmark: 18 points of an envelope, of which their mean is fitted."""
+    record, f = with_swing(ambient(1000 + number, 60.0), SINE, np.random.default_rng((1, number)))
+    top = meter(record).swings[0]
+    assert (top.kind, top.frequency_hz) == ("forced", pytest.approx(f, abs=0.002))
+
+
+@pytest.mark.slow
+def test_few_modes_with_least_damping_and_no_wide_ones_are_called_forced() -> None:
+    """A wide spectrum has many independent values, the largest of which stands out in record 61."""
+    ratios = np.array(of_least_damped(150, np.random.default_rng(2)))
+    assert np.sum(ratios >= 10.0) <= 6  # of a binomial of 150 with 0.014, the chance of more is 0.5 %
+    assert 1.0 < np.median(ratios) < 6.0
+    assert "forced" not in {s.kind for s in meter(ambient(61, 600.0)).swings}
 
 
 def test_what_stands_beside_a_ring_down_is_taken_out_of_it() -> None:
