@@ -113,9 +113,11 @@ def _require_shown(record: Record, low: float, high: float) -> None:
             f"wanted: {2.0 * high:g} at least, or a band that ends below {0.5 / record.step_s:.4g} Hz"
         )
     if not record.length_s >= 0.99 * _LEAST_PERIODS / low:
+        least = _LEAST_PERIODS / record.length_s
+        remedy = f"or a band from {least:.2g} Hz" if least < high else "or another unit of its times"
         raise RecordError(
             f"{record.source}: {record.length_s:.4g} s are too short for {low:g} Hz, wanted: "
-            f"{_LEAST_PERIODS / low:g} s at least, or a band from {_LEAST_PERIODS / record.length_s:.2g} Hz"
+            f"{_LEAST_PERIODS / low:g} s at least, {remedy}"
         )
 
 

@@ -210,12 +210,12 @@ def _with_unit(raw: Raw, units: Mapping[str, str], source: str, frequency_hz: fl
     if unit is None:
         return raw
     if not known_unit(unit):
-        raise RecordError(f"{source}: units[...] = {unit!r}, allowed: {known_units()}")
+        raise RecordError(f"{source}: unit {unit!r} of {channel.name}, allowed: {known_units()}")
     raw = _in_hertz(other_channel(channel.name, unit, channel.quantity, channel.terminal), frequency_hz)
     if _misfit(raw.channel):
         raise RecordError(
-            f"{source}: units[...] = {unit!r} for {channel.name}, allowed: a unit of its quantity, "
-            f"{channel.quantity}"
+            f"{source}: unit {unit!r} of {channel.name}, allowed: one of its quantity, {channel.quantity}: "
+            f"{', '.join(UNITS[channel.quantity])}"
         )
     return raw
 
@@ -234,7 +234,7 @@ def _misfit(channel: Channel) -> str:
         return ""
     return (
         f"{channel.name}: {channel.quantity} in {channel.unit}, allowed: {', '.join(allowed)}: left out; "
-        f"if the unit is wrong give it, as units = {{{channel.name!r}: {allowed[0]!r}}}"
+        f"{_remedy(channel.name, allowed[0])}"
     )
 
 
@@ -362,10 +362,12 @@ def _wraps_in_radians(degrees: npt.NDArray[np.float64]) -> bool:
 
 def _wrong_scale(source: str, channel: Channel, got: str, allowed: str, unit: str) -> RecordError:
     key = channel.name.split(" ")[-1]
-    return RecordError(
-        f"{source}: {channel.name} is {got}, allowed: {allowed}; "
-        f"if the unit is wrong give it, as units = {{{key!r}: {unit!r}}}"
-    )
+    return RecordError(f"{source}: {channel.name} is {got}, allowed: {allowed}; {_remedy(key, unit)}")
+
+
+def _remedy(name: str, unit: str) -> str:
+    """Return what to do where the file has a wrong unit, as it is typed and in Python."""
+    return f"if the unit is wrong: --unit '{name}={unit}', in Python units={{{name!r}: {unit!r}}}"
 
 
 def _distinct(raws: Sequence[Raw]) -> list[Raw]:

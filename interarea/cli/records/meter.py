@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
-from ...command_usage import naming
+from ...command_usage import ABOVE_0_S, naming
 from ..terminal import busy, note, print_table
 from .options import (
     Band,
@@ -65,7 +65,7 @@ def meter(
         typer.Option(
             "--every",
             metavar="SECONDS",
-            min=1.0,
+            callback=ABOVE_0_S,
             help="track each oscillation through parts of this length, such as 600, in a long file",
         ),
     ] = None,
