@@ -37,11 +37,13 @@ def mistakes(
     *,
     path_of: Callable[[Location], Sequence[str]] | None = None,
     hidden: Sequence[str] = (),
+    times: bool = False,
 ) -> list[str]:
     """Return a line for each failure of a pydantic `error`, the first of each place.
 
     model : the annotation that was validated, in which allowed keys are found. path_of : words of a location
-        where they are not those of the model. hidden : keys that no file has.
+        where they are not those of the model. hidden : keys that no file has. times : words such as
+        "100 ms" were turned into seconds before.
     """
     lines: dict[str, list[str]] = {}
     rows = error.errors()
@@ -52,11 +54,11 @@ def mistakes(
         words, known = _followed(model, row["loc"])
         key = ".".join(words if path_of is None else path_of(row["loc"]))
         if key not in lines:  # the members of a union each say why they are not meant
-            lines[key] = _lines_of(key, row, [k for k in known if k not in hidden])
+            lines[key] = _lines_of(key, row, [k for k in known if k not in hidden], times)
     return [line for message in lines.values() for line in message]
 
 
-def _lines_of(key: str, row: Any, known: Sequence[str]) -> list[str]:
+def _lines_of(key: str, row: Any, known: Sequence[str], times: bool) -> list[str]:
     provided, context = row["input"], row.get("ctx", {})
     message = row["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
     own = str(row["loc"][-1]) if row["loc"] else key
@@ -79,7 +81,7 @@ def _lines_of(key: str, row: Any, known: Sequence[str]) -> list[str]:
             near = [repr(k) for k in known if k.startswith(f"{own}_")]
             hint = f"; did you mean {' or '.join(near)}?" if near else ""
             return [f"{key} = {provided!r}, allowed: a table{hint}"]
-    return [f"{key} = {provided!r}, allowed: {_in_words(own, provided, message)}"]
+    return [f"{key} = {provided!r}, allowed: {_in_words(times and is_time(own), provided, message)}"]
 
 
 def _placed(key: str, own: str, text: str) -> str:
@@ -89,10 +91,10 @@ def _placed(key: str, own: str, text: str) -> str:
     return f"{key}: {text}" if key else text
 
 
-def _in_words(own: str, provided: object, message: str) -> str:
+def _in_words(time: bool, provided: object, message: str) -> str:
     """Return what is allowed as who writes files says it."""
     number = _NUMBER.fullmatch(provided.strip()) if isinstance(provided, str) else None
-    if message.startswith("a valid number") and isinstance(provided, str) and is_time(own) and not number:
+    if message.startswith("a valid number") and isinstance(provided, str) and time and not number:
         return 'seconds as a number, or words such as "8 cycles", "100 ms", "1.5 s"'
     for begin, allowed in _ALLOWED.items():
         if message.startswith(begin):

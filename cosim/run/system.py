@@ -35,6 +35,7 @@ from interarea.models.blocks.pmu import PmuFilter, pmu_block
 from interarea.models.blocks.variables import Block
 from interarea.models.case.case import Case, load_case
 from interarea.models.case.events import slot_count
+from interarea.models.documents import in_seconds
 from interarea.models.mistakes import mistakes
 
 from ..clock import on_tick, roundings
@@ -273,7 +274,7 @@ class System:
         return self
 
     def event(self, kind: Any, *, plant: str | None = None, **fields: Any) -> System:
-        """Add an event to a plant (default: the one there is): its kind and fields, or an event object.
+        """Add an event to a plant (default: the one there is): kind and fields as in a file, or an object.
 
         Raises
         ------
@@ -286,7 +287,8 @@ class System:
                 raise ScenarioError("event: no plant yet; add the plant first")
             raise ScenarioError(f"event: plant = {plant!r}; {nearest(str(plant), self.plants)}")
         where = f"event {1 + sum(len(events) for events in self.events.values())}"
-        event, rounded = timed_event(kind, fields, where)
+        rated_hz = self.plants[plant].frequency_hz
+        event, rounded = timed_event(kind, in_seconds(fields, lambda: rated_hz), where)
         events = [*self.events.get(plant, []), event]
         event_parameters(self.plants[plant], events)  # refuses an unknown target here
         self.events[plant] = events

@@ -420,7 +420,7 @@ def _checked(given: dict[str, Any], where: str, folder: Path, frequency_hz: floa
     except UserError as error:
         errors.lines += error.args
     except ValidationError as error:
-        errors.lines += [f"{where}: {line}" for line in mistakes(error, Scenario, hidden=_HIDDEN)]
+        errors.lines += [f"{where}: {line}" for line in mistakes(error, Scenario, hidden=_HIDDEN, times=True)]
     if errors.lines:
         errors.lines += [line for line in wrong_names(table, where, folder) if line not in errors.lines]
         raise ScenarioError(*errors.lines)

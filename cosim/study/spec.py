@@ -46,7 +46,9 @@ def load_study(name: str) -> Mapping[str, Any]:
     try:
         StudyTable.model_validate(spec)
     except ValidationError as error:
-        collected.lines += [f"{path}: {_by_key(line, spec)}" for line in mistakes(error, StudyTable)]
+        collected.lines += [
+            f"{path}: {_by_key(line, spec)}" for line in mistakes(error, StudyTable, times=True)
+        ]
     collected.lines += [line for line in _wrong_names(spec, str(path)) if line not in collected.lines]
     if "claims" in spec and isinstance(spec["claims"], str):
         spec["claims"] = str(path.parent / spec["claims"])

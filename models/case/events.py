@@ -404,7 +404,9 @@ def event_of(table: Mapping[str, Any], *, where: str) -> Any:
     try:
         return _ONE.validate_python(dict(table))
     except ValidationError as error:
-        raise CaseError(*(f"{where} ({kind}): {line}" for line in mistakes(error, Event))) from None
+        raise CaseError(
+            *(f"{where} ({kind}): {line}" for line in mistakes(error, Event, times=True))
+        ) from None
 
 
 def events_of(tables: Iterable[Mapping[str, Any]], *, where: str) -> tuple[Any, ...]:

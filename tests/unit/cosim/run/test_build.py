@@ -133,3 +133,12 @@ def test_mistakes_beside_a_plant(tmp_path: Path) -> None:
     with pytest.raises(ScenarioError, match="vref_pulse"):
         system.event("vref_puls", **PULSE)
     assert system.event_times_s == ()
+
+
+def test_times_of_an_event_may_be_words_as_in_a_file() -> None:
+    """6 cycles of the plant's 60 Hz are 0.1 s."""
+    system = System(stop_s=2.0).plant("two-area-thesis")
+    system.event("bus_fault", bus=8, start_s="1 s", end_s="start + 6 cycles")
+    (event,) = system.events["plant"]
+    assert event.start_s == 1.0
+    assert event.end_s == pytest.approx(1.1, abs=1e-12)
