@@ -9,6 +9,7 @@ from __future__ import annotations
 import functools
 import json
 import re
+import sys
 from collections.abc import Iterable, Iterator, Mapping
 from difflib import get_close_matches
 from pathlib import Path
@@ -49,6 +50,7 @@ _SETTINGS = ("caseid", "general", "gauss", "newton", "adjust", "tysl", "solver")
 _FURTHER = {"bp", "name", "mname", "droopname", "rsetnam", "fcreg", "nreg", "tcode", "bcode"}
 _CORRECTIONS, _POINT = "impcor", ("itable", "tap", "refact", "imfact")
 _READ = {table for table, _ in _SECTIONS.values()} | {_CORRECTIONS}
+_LARGEST = sys.float_info.max
 _Row = tuple[int, Mapping[str, Any]]  #: line, values by lower-case name
 
 
@@ -92,7 +94,7 @@ def _empty(path: Path, tables: Mapping[str, list[_Row]]) -> RawFile:
     if not tables.get("bus"):
         raise CaseError(f"{path}: no rows in the table bus, allowed: at least one")
     general = {name.upper(): value for name, value in _single(tables, "general").items()}
-    system = {name: float(value) for name, value in general.items() if isinstance(value, int | float)}
+    system = {name: float(value) for name, value in general.items() if _is_number(value)}
     return RawFile(
         path, base, frequency or None, int(_number(path, head, "rev", VERSION)), VERSION, system, {}
     )
@@ -112,9 +114,14 @@ def _number(path: Path, row: Mapping[str, Any], name: str, default: float) -> fl
     value = row.get(name)
     if value is None:
         return default
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise CaseError(f"{path}: caseid: {name} = {value!r}, allowed: a number")
+    if not _is_number(value):
+        raise CaseError(f"{path}: caseid: {name} = {str(value)[:40]!r}, allowed: a number")
     return float(value)
+
+
+def _is_number(value: Any) -> bool:
+    """Whether a value of JSON is a number that a double can be."""
+    return not isinstance(value, bool) and isinstance(value, int | float) and abs(value) <= _LARGEST
 
 
 def _group(section: str, row: _Row) -> Group:
@@ -204,9 +211,8 @@ def _tables(path: Path, text: str) -> dict[str, list[_Row]]:
 def _names(path: Path, table: str, names: list[Any]) -> list[str]:
     """The fields of a table in lower case, each a text and once."""
     lower = [name.lower() if isinstance(name, str) else name for name in names]
-    wrong = next((n for k, n in enumerate(lower) if not isinstance(n, str) or n in lower[:k]), None)
-    if wrong is not None:
-        raise CaseError(f"{path}: fields of {table}: {wrong!r}, allowed: texts, each once")
+    if wrong := [n for k, n in enumerate(lower) if not isinstance(n, str) or n in lower[:k]]:
+        raise CaseError(f"{path}: fields of {table}: {wrong[0]!r}, allowed: texts, each once")
     return lower
 
 

@@ -11,6 +11,7 @@ from .identities import usable
 from .lines import Correction, apply, bolster, corrections
 from .record import Record
 
+_FARTHEST = 1000.0  # of a nominal voltage from the base voltage of its bus, as a factor: kV for V
 _OUT = {0: (1, 2, 3), 1: (), 2: (2,), 3: (3,), 4: (1,)}  #: STAT -> windings out of service
 
 
@@ -169,6 +170,16 @@ def _base_kv(bus: int, winding: Record, grid: StaticGrid) -> float:
     return grid.buses[bus].kv if bus in grid.buses else winding.number("NOMV", 0.0) or 1.0
 
 
+def _nominal_ratio(winding: Record, bus: int, grid: StaticGrid) -> float:
+    """The nominal voltage of a winding over the base voltage of its bus; 1 where either is not known."""
+    kv, nominal = _base_kv(bus, winding, grid), winding.number("NOMV", 0.0)
+    if not (kv > 0.0 and nominal > 0.0):
+        return 1.0
+    if not kv / _FARTHEST <= nominal <= kv * _FARTHEST:
+        raise winding.wrong("NOMV", f"{nominal:g}", f"within a factor {_FARTHEST:g} of {kv:g} kV of its bus")
+    return nominal / kv
+
+
 def _impedance(
     head: Record, record: Record, pair: str, winding: Record, bus: int, grid: StaticGrid, report: Report
 ) -> complex:
@@ -186,12 +197,12 @@ def _impedance(
             raise record.wrong(f"R{pair}", record.text(f"R{pair}"), "losses below the impedance")
         x = math.copysign(math.sqrt(x * x - r * r), x)
     scale = grid.base_mva / base
-    kv, nominal = _base_kv(bus, winding, grid), winding.number("NOMV", 0.0)
-    if kv > 0.0 and nominal > 0.0 and abs(nominal - kv) > 1e-6 * kv:
+    ratio = _nominal_ratio(winding, bus, grid)
+    if abs(ratio - 1.0) > 1e-6:
         report.assume(
             "impedance on the winding's own base (CZ 2, 3) referred to NOMV, not to BASKV", winding.where
         )
-        scale *= (nominal / kv) ** 2
+        scale *= ratio**2
     return complex(r, x) * scale
 
 
@@ -207,8 +218,7 @@ def _magnetising(
         if not abs(g) <= abs(b):
             raise head.wrong("MAG1", head.text("MAG1"), "losses below those of MAG2")
         b = -math.sqrt(b * b - g * g)
-        kv, nominal = _base_kv(bus, winding, grid), winding.number("NOMV", 0.0)
-        scale = base / grid.base_mva * ((kv / nominal) ** 2 if nominal > 0.0 and kv > 0.0 else 1.0)
+        scale = base / grid.base_mva / _nominal_ratio(winding, bus, grid) ** 2
         g, b = g * scale, b * scale
     identity = f"{name}_{head.identity('CKT')}"
     grid.shunts.append(StaticShunt(bus, "M", identity, g * grid.base_mva, b * grid.base_mva, head.where, on))

@@ -155,6 +155,16 @@ LOST = {
         "fields of load: 'pl', allowed: .*each once",
     ),
     "a field no text": (load([*FIELDS[:4], 7, *FIELDS[5:]], ROW), "fields of load: 7, allowed: texts"),
+    "a field null": (load([*FIELDS[:4], None, *FIELDS[5:]], ROW), "fields of load: None, allowed: texts"),
+    "a base of 400 digits": (
+        rawx(caseid=(["sbase"], [[10**400]])),
+        r"caseid: sbase = '10+', allowed: a number",
+    ),
+    "a revision without end": (rawx(caseid=(["rev"], [[float("inf")]])), "caseid: rev = 'inf', allowed"),
+    "a nominal voltage of 1e308 kV": (
+        rawx().replace("235.0, 230.0", "235.0, 1e308"),
+        r"NOMV .*1e\+308.* allowed: within a factor 1000 of 230 kV of its bus",
+    ),
     "rows of another table": (
         rawx().replace('"load": {\n', '"load": {"fields": ["ibus"]},\n"loads": {\n'),
         "RAWX table 'load' has no data",
