@@ -424,11 +424,11 @@ WRONG = {
     ),
     "watts": (
         lambda path: ieee_csv(path, columns={"P": ("MW", 1e8 * TIME)}),
-        r"P is 4\.\d+e\+08 MW, allowed: up to 1e\+06 MW; .*units = \{'P': 'W'\}",
+        r"P is 4\.\d+e\+08 MW, allowed: up to 1e\+06 MW; .*--unit 'P=W'",
     ),
     "millivolts": (
         lambda path: ieee_csv(path, columns={"VM": ("KV", 1e3 * COLUMNS["VM"][1])}),
-        r"VM is 2\.\d+e\+05 kV, allowed: up to 2000 kV; .*units = \{'VM': 'V'\}",
+        r"VM is 2\.\d+e\+05 kV, allowed: up to 2000 kV; .*--unit 'VM=V'",
     ),
     "radians": (
         lambda path: ieee_csv(path, columns={"VA": ("DEG", (2 * TIME + np.pi) % (2 * np.pi) - np.pi)}),
@@ -519,9 +519,9 @@ def test_units_named_by_the_caller_are_taken_or_refused(tmp_path: Path) -> None:
         RecordError, match="units names 'VX', which is not a channel or quantity; did you mean"
     ):
         read_record(path, units={"VX": "V"})
-    with pytest.raises(RecordError, match="= 'furlong', allowed: a, amp"):
+    with pytest.raises(RecordError, match="unit 'furlong' of Sub:1:Ln:1 VM, allowed: a, amp"):
         read_record(path, units={"VM": "furlong"})
-    with pytest.raises(RecordError, match=r"= 'MW' for .* VM, allowed: a unit of its quantity, voltage"):
+    with pytest.raises(RecordError, match=r"unit 'MW' of .* VM, allowed: one of its quantity, voltage"):
         read_record(path, units={"VM": "MW"})
 
 
