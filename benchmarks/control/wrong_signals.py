@@ -21,7 +21,7 @@ from typing import Any
 
 import control
 import numpy as np
-from scipy.linalg import expm
+from scipy.linalg import expm, solve_continuous_lyapunov
 
 import interarea as ia
 from interarea.cosim.designs.fault_runs import FaultRuns
@@ -142,11 +142,9 @@ def ambient_loop(controller: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     torque = (C / np.linalg.norm(C, axis=1)[:, None]).T
     inertia = {f"{m.name}_dw": m.H * m.base_mva for m in case.machines}
     torque /= np.array([inertia[s] for s in LATENCY_S]) / max(inertia.values())
-    size = len(A)
-    block = expm(np.block([[-A, torque @ torque.T], [np.zeros_like(A), A.T]]) * INTERVAL_S)  # Van Loan
-    step = block[size:, size:].T
-    covariance = step @ block[:size, size:]
-    P = control.dlyap(step, 0.5 * (covariance + covariance.T))
+    step = expm(A * INTERVAL_S)
+    P = solve_continuous_lyapunov(A, -torque @ torque.T)
+    covariance = P - step @ P @ step.T  # of the noise that a frame adds
     between = C[0] - C[1]
     scale = SWING_HZ / RATED_HZ / np.sqrt(between @ P @ between)
     values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
