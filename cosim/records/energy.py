@@ -134,7 +134,8 @@ def strongest_line(record: Record, signals: Sequence[Array], band_hz: tuple[floa
             f"{band_hz[1]:g} Hz, allowed: a longer record, or a higher band"
         )
     floor = median_filter(size, round(_FLOOR_HZ / f[1]), mode="nearest")  # ambient power is red
-    f, size, over = f[inside], size[inside], (size / floor)[inside]
+    over = size / np.maximum(floor, 1e-15 * size.max() + np.finfo(float).tiny)  # powers may be constant
+    f, size, over = f[inside], size[inside], over[inside]
     if not over.max() >= _STANDS_OUT:
         band = f"{band_hz[0]:g} to {band_hz[1]:g} Hz"
         raise RecordError(

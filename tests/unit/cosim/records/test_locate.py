@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +13,7 @@ import pytest
 from command_line import invoke
 
 import interarea as ia
-from interarea.cosim.records.energy import located
+from interarea.cosim.records.energy import located, strongest_line
 from interarea.cosim.records.record import Channel, Record, RecordError
 
 STEP_S, F = 1.0 / 30.0, 0.7
@@ -196,3 +197,10 @@ def test_twenty_seconds_of_the_public_event_name_one_terminal(start_s: float) ->
     assert result.frequency_hz == pytest.approx(1.14, abs=0.03)
     assert result.source == "Sub:2:Ln:2"
     assert all(apart < 0.025 for *_, apart in result.lines)
+
+
+def test_constant_powers_have_no_oscillation() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(RecordError, match=r"no oscillation exceeds the background .* largest ratio 0,"):
+            strongest_line(phasors(ENDS), [np.full(len(TIME), 100.0)], (0.1, 2.5))
