@@ -259,8 +259,8 @@ def _named_grids(names: Iterable[str]) -> dict[str, Case]:
     return {name: loaded[0] for name in names if (loaded := grid_of(name)) is not None}
 
 
-def _require_grids(names: Iterable[str]) -> None:
-    """Require that each option --grid means a grid, before what studies them is loaded."""
+def _require_grids(names: Iterable[str], where: str = "--grid") -> None:
+    """Require that each name means a grid, before what studies them is loaded; where : it is given."""
     from interarea.models.case.document import case_names
     from interarea.models.errors import UserError, nearest
 
@@ -269,7 +269,7 @@ def _require_grids(names: Iterable[str]) -> None:
     for name in names:
         if not names_grid(name):
             near = f"{nearest(name, case_names())} (or a case file, .raw, .rawx, .m)"
-            raise UserError(f"--grid {name}: not a grid; {near}")
+            raise UserError(f"{where} {name}: not a grid; {near}")
 
 
 def _show_study(
@@ -308,6 +308,7 @@ def _choices_of(name: str, dyr: Path | None, minutes: float | None) -> Choices:
             if value is not None and (file.parent / value).is_file()
         }
         choices = choices.model_copy(update=there)
+        _require_grids([choices.grid], f"{file}: grid =")
     return choices if minutes is None else choices.model_copy(update={"minutes": minutes})
 
 
