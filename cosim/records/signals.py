@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
+from ..errors import nearest
 from .files.even import resampled
 from .record import BAND_HZ, Array, Record, RecordError
 
@@ -129,9 +130,12 @@ def _chosen(
     what, names, notes = _asked(record, of, quantity) if of else _best(record, band_hz, quantity, still)
     moving = [n for n in names if n not in still]
     if not moving:
-        which = f"none of {', '.join(names[:4])} varies" if names else f"no channel of {what} is there"
+        if not names:
+            there = nearest(what, (c.quantity for c in record.channels))
+            raise RecordError(f"{record.source}: no channel of {what} is there; {there}")
         raise RecordError(
-            f"{record.source}: {which}, wanted: a measured {', '.join(_QUANTITIES[:3])} that moves"
+            f"{record.source}: none of {', '.join(names[:4])} varies, wanted: a measured "
+            f"{' or '.join(_QUANTITIES[:3])} that varies"
         )
     left = [n for n in names if n in still]
     return moving, what, [*notes, *([f"{', '.join(left[:6])}: constant, left out"] if left else [])]

@@ -44,7 +44,9 @@ def meter(
     quantity: Annotated[
         str | None,
         typer.Option(
-            "--quantity", metavar="NAME", help="speed, frequency, active power, voltage angle, voltage"
+            "--quantity",
+            metavar="NAME",
+            help="speed, frequency, active power, rotor angle, voltage angle, voltage",
         ),
     ] = None,
     channel: Annotated[

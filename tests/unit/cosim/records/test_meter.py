@@ -206,7 +206,7 @@ def test_too_short_and_too_slow_records_are_refused_with_what_would_do() -> None
     with pytest.raises(RecordError, match="no channel of voltage is there"):
         meter(short, quantity="voltage")
     flat = Record("flat", short.time_s, np.ones((len(short.time_s), 4)), short.channels)
-    with pytest.raises(RecordError, match=r"none of plant\.G1_dw, .* moves"):
+    with pytest.raises(RecordError, match=r"none of plant\.G1_dw, .* varies"):
         meter(flat)
 
 
