@@ -119,7 +119,7 @@ def test_contradictory_specifications(change: dict[str, Any], word: str) -> None
         (
             'name = "base"',
             'name = "base"\nmore = [[2.0, 0.1], [1.0, 0.1]]',
-            r"point\.1\.more.* 1 rad/s after 2 rad/s, allowed: rising ones",
+            r"point 1\.more.* 1 rad/s after 2 rad/s, allowed: rising ones",
         ),
         ('name = "base"', 'name = "tie +100"', r"point: has \['tie \+100'\] twice, allowed: each name once"),
         ('remote = "G2_dw"', 'remote = "G4_dw"', r"remote, local: has \['G4_dw'\] twice"),
