@@ -22,6 +22,7 @@ from scipy.stats import t as student
 from .record import Array
 
 ComplexArray = npt.NDArray[np.complex128]
+_Entry = tuple[int, complex, ComplexArray, float]  #: order, pole, shape, share
 LEVEL = 0.95
 SUBSPACE, YULE_WALKER = "subspace identification", "modified Yule-Walker"
 _LAG_S = 2.0  # of the Toeplitz matrix, a side
@@ -30,6 +31,7 @@ _STAYS_F, _STAYS_Z = (
     0.02,
     0.02,
 )  # relative change of a frequency, change of a damping ratio from order to order
+_LIKE = 0.5  # of the squared cosine of two shapes that are one
 _LEAST_ORDERS = 4  # at which a pole is there
 _MOST_DAMPED = 0.35
 _LEAST_SHARE = 0.01  # of the motion: less is no mode
@@ -101,11 +103,11 @@ def ambient_modes(values: Array, step_s: float, band_hz: tuple[float, float]) ->
     modes = []
     for order, pole, shape, share in _stable(R, rows, step_s, band_hz):
         poles_of = partial(_poles_of_order, rows=rows, order=order, step_s=step_s)
-        estimates = [_estimate(SUBSPACE, covariances, pole, poles_of)]
-        other = _nearest(_yule_walker(R, step_s), pole)
+        estimates = [_estimate(SUBSPACE, covariances, pole, shape, poles_of)]
+        other = _nearest(*_yule_walker(R, step_s), pole, shape)
         if other is not None:
             again = partial(_yule_walker, step_s=step_s)
-            estimates.append(_estimate(YULE_WALKER, covariances, other, again))
+            estimates.append(_estimate(YULE_WALKER, covariances, other, shape, again))
         modes.append(AmbientMode(pole, share, shape, order, tuple(e for e in estimates if e is not None)))
     return sorted(modes, key=lambda mode: -mode.share)
 
@@ -123,10 +125,11 @@ def estimate_of_one(values: Array, step_s: float, band_hz: tuple[float, float]) 
     pole = _strongest(R, rows, step_s, band_hz)
     if pole is None:
         return None
-    own = _nearest(_yule_walker(R, step_s), pole, _SAME_OF_ONE)
+    shape = np.ones(1, complex)
+    own = _nearest(*_yule_walker(R, step_s), pole, shape, _SAME_OF_ONE)
     if own is None:
         return None
-    return _estimate(YULE_WALKER, covariances, own, partial(_yule_walker, step_s=step_s))
+    return _estimate(YULE_WALKER, covariances, own, shape, partial(_yule_walker, step_s=step_s))
 
 
 def _strongest(R: Array, rows: int, step_s: float, band_hz: tuple[float, float]) -> complex | None:
@@ -167,15 +170,13 @@ def _subspace(
     return result
 
 
-def _poles_of_order(R: Array, rows: int, order: int, step_s: float) -> ComplexArray:
-    return _subspace(R, rows, [order], step_s)[0][0]
+def _poles_of_order(R: Array, rows: int, order: int, step_s: float) -> tuple[ComplexArray, ComplexArray]:
+    return _subspace(R, rows, [order], step_s)[0][:2]
 
 
-def _stable(
-    R: Array, rows: int, step_s: float, band_hz: tuple[float, float]
-) -> list[tuple[int, complex, ComplexArray, float]]:
+def _stable(R: Array, rows: int, step_s: float, band_hz: tuple[float, float]) -> list[_Entry]:
     """Return order, pole, shape and share of each mode that stays from order to order."""
-    tracks: list[list[tuple[int, complex, ComplexArray, float]]] = []
+    tracks: list[list[_Entry]] = []
     for n, (poles, shapes, shares) in zip(_ORDERS, _subspace(R, rows, _ORDERS, step_s), strict=True):
         for k, pole in enumerate(poles):
             if not (
@@ -183,11 +184,11 @@ def _stable(
             ):
                 continue
             entry = (n, complex(pole), shapes[:, k], float(shares[k]))
-            track = next((t for t in tracks if n > t[-1][0] >= n - 4 and _stays(t[-1][1], pole)), None)
-            if track is None:
-                tracks.append([entry])
+            same = [t for t in tracks if n > t[-1][0] >= n - 4 and _stays(t[-1], entry)]
+            if same:
+                min(same, key=lambda t: abs(t[-1][1] - pole)).append(entry)
             else:
-                track.append(entry)
+                tracks.append([entry])
     estimates = [
         t[3] for t in tracks if len(t) >= _LEAST_ORDERS and np.median([e[3] for e in t]) >= _LEAST_SHARE
     ]
@@ -195,55 +196,71 @@ def _stable(
 
 
 def _apart(
-    estimates: list[tuple[int, complex, ComplexArray, float]],
-) -> list[tuple[int, complex, ComplexArray, float]]:
-    """Leave out of two tracks of one pole the weaker one."""
-    left: list[tuple[int, complex, ComplexArray, float]] = []
+    estimates: list[_Entry],
+) -> list[_Entry]:
+    """Leave out of two tracks of one pole and shape the weaker one."""
+    left: list[_Entry] = []
     for entry in sorted(estimates, key=lambda e: -e[3]):
-        if all(abs(entry[1] - e[1]) > 0.03 * abs(e[1]) for e in left):
+        if all(abs(entry[1] - e[1]) > 0.03 * abs(e[1]) or _likeness(entry[2], e[2]) < _LIKE for e in left):
             left.append(entry)
     return left
+
+
+def _likeness(shapes: ComplexArray, other: ComplexArray) -> Array:
+    """Return the squared cosine of each of `shapes` (m, poles) or (m,) and another (m,)."""
+    size = np.sum(np.abs(shapes) ** 2, axis=0) * np.sum(np.abs(other) ** 2)
+    return np.asarray(np.abs(other.conj() @ shapes) ** 2 / np.maximum(size, 1e-300))
 
 
 def _ratio(pole: complex) -> float:
     return float(-pole.real / abs(pole))
 
 
-def _stays(before: complex, now: complex) -> bool:
-    change = abs(abs(now) - abs(before)) / abs(before)
-    return bool(change <= _STAYS_F and abs(_ratio(now) - _ratio(before)) <= _STAYS_Z)
+def _stays(before: _Entry, now: _Entry) -> bool:
+    change = abs(abs(now[1]) - abs(before[1])) / abs(before[1])
+    close = change <= _STAYS_F and abs(_ratio(now[1]) - _ratio(before[1])) <= _STAYS_Z
+    return bool(close and _likeness(now[2], before[2]) >= _LIKE)
 
 
-def _yule_walker(R: Array, step_s: float) -> ComplexArray:
-    """Return the poles (rad/s, upper half) of an autoregression by lags beyond its order."""
+def _yule_walker(R: Array, step_s: float) -> tuple[ComplexArray, ComplexArray]:
+    """Return poles (rad/s, upper half) and shapes (m, poles) of an autoregression by later lags."""
     p, m = _AR_ORDER, R.shape[-1]
     lags = range(p + 1, p + 1 + _AR_EQUATIONS)
     known = np.vstack([np.hstack([R[t - j].T for j in range(1, p + 1)]) for t in lags])
     coefficients = np.linalg.lstsq(known, np.vstack([R[t].T for t in lags]), rcond=None)[0]
     companion = np.eye(p * m, k=-m)
     companion[:m] = coefficients.T
-    discrete = np.linalg.eigvals(companion).astype(complex)
-    return np.asarray(np.log(discrete[(discrete.imag > 0.0) & (np.abs(discrete) > 1e-3)]) / step_s)
+    discrete, vectors = np.linalg.eig(companion)
+    upper = (discrete.imag > 0.0) & (np.abs(discrete) > 1e-3)
+    return np.log(discrete[upper].astype(complex)) / step_s, vectors[:m, upper].astype(complex)
 
 
-def _nearest(poles: ComplexArray, to: complex, within: float = _SAME) -> complex | None:
+def _nearest(
+    poles: ComplexArray, shapes: ComplexArray, to: complex, shape: ComplexArray, within: float = _SAME
+) -> complex | None:
+    """Return the pole that is nearest to another, its distance divided by the likeness of their shapes."""
     if not poles.size:
         return None
-    best = complex(poles[np.argmin(np.abs(poles - to))])
+    away = np.abs(poles - to) / np.maximum(_likeness(shapes, shape), 1e-6)
+    best = complex(poles[np.argmin(away)])
     return best if abs(best - to) <= within * abs(to) else None
 
 
 def _estimate(
-    method: str, covariances: _Covariances, pole: complex, poles_of: Callable[[Array], ComplexArray]
+    method: str,
+    covariances: _Covariances,
+    pole: complex,
+    shape: ComplexArray,
+    poles_of: Callable[[Array], tuple[ComplexArray, ComplexArray]],
 ) -> Estimate | None:
     """Return pole with its intervals by the jackknife; None where it is not there without some block."""
     blocks = len(covariances.counts)
     rest = []
     for b in range(blocks):
-        poles = poles_of(covariances.without(b))
-        if not poles.size:
+        same = _nearest(*poles_of(covariances.without(b)), pole, shape, np.inf)
+        if same is None:
             return None
-        rest.append(complex(poles[np.argmin(np.abs(poles - pole))]))
+        rest.append(same)
     wide = float(student.ppf(0.5 + 0.5 * LEVEL, blocks - 1))
     hertz = np.array([abs(z) / (2.0 * np.pi) for z in rest])
     ratios = np.array([_ratio(z) for z in rest])

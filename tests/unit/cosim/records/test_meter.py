@@ -14,6 +14,7 @@ import pytest
 from command_line import invoke
 
 import interarea as ia
+from interarea.cosim.records import ambient as methods
 from interarea.cosim.records.meter import meter
 from interarea.cosim.records.record import Record, RecordError
 
@@ -237,3 +238,13 @@ def test_the_command_prints_a_table_or_json_and_refuses_in_one_line(
     code, _, err = invoke(["meter", str(tmp_path / "x.csv")], monkeypatch)
     assert code == 2
     assert "no row begins with Time" in err
+
+
+def test_poles_nearer_than_3_percent_are_one_only_with_one_shape() -> None:
+    pole, one, other = -0.5 + 6.9j, np.array([1.0, -1.0, 0.1, 0.0j]), np.array([0.1, 0.0j, 1.0, -1.0])
+    entries = [(30, pole, one, 0.5), (30, 1.01 * pole, -1j * one, 0.2), (30, 1.027 * pole, other, 0.3)]
+    assert [entry[3] for entry in methods._apart(entries)] == [0.5, 0.3]
+    # the estimate of a mode again is that of its shape, though the other pole is nearer
+    poles, shapes = np.array([pole, 1.027 * pole]), np.stack([one, other], axis=1)
+    assert methods._nearest(poles, shapes, 1.02 * pole, one) == pole
+    assert methods._nearest(poles, shapes, 1.02 * pole, other) == 1.027 * pole
