@@ -45,6 +45,10 @@ def _given(device: Device, p: Parameter, provided: Mapping[str, Any]) -> Given:
         raise DeviceError(f".{p.name} = {value!r}, allowed: a number{more}")
     if not p.holds(value):
         raise DeviceError(f".{p.name} = {value!r}, allowed: {_range(p.low, p.high, open_=p.open)}")
+    if p.name in device.switches and value != round(value):
+        raise DeviceError(
+            f".{p.name} = {value!r}, allowed: a whole number, {_range(p.low, p.high, open_=p.open)}"
+        )
     return float(value)
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -226,6 +227,15 @@ class Check:
         return f", allowed: {self.text}; {self.remedy}" if plain else f"; {self.remedy}"
 
 
+def _compared(node: Node) -> Iterator[str]:
+    """Yield each name that stands beside a number in == or !=, as often as it does."""
+    if node.op in ("==", "!=") and {part.op for part in node.args} == {"name", "number"}:
+        yield from node.names
+        return
+    for part in (*node.args, *(part for _, part in node.options)):
+        yield from _compared(part)
+
+
 @dataclass(frozen=True)
 class DyrModel:
     """A record of a DYR file: its fields in order, and what is fixed or follows.
@@ -288,6 +298,19 @@ class Device:
     def by_name(self) -> dict[str, Parameter]:
         """Parameters by name."""
         return {p.name: p for p in self.parameters}
+
+    @cached_property
+    def switches(self) -> frozenset[str]:
+        """Parameters that the equations only compare with numbers by == or !=: they are whole numbers."""
+        trees = [*(line.node for line in self.lines), *(node for _, node in self.fixed)]
+        trees += [c.value for c in self.computed.values()]
+        everywhere, compared = Counter[str](), Counter[str]()
+        for tree in trees:
+            everywhere.update(tree.names)
+            compared.update(_compared(tree))
+        return frozenset(name for name, count in compared.items() if count == everywhere[name]) & {
+            *self.by_name
+        }
 
     def constant(self, node: Node) -> bool:
         """Return whether `node` holds parameters and numbers only."""

@@ -16,6 +16,7 @@ from interarea.models.devices.instance import Instance
 from interarea.models.devices.language.device import FBASE, KINDS, MBASE
 from interarea.models.devices.library import device_model, library
 from interarea.models.devices.rest import rest_of
+from interarea.models.devices.rows import row_of
 from interarea.models.errors import DeviceError
 
 PLANT = Path(__import__("interarea.models").models.__file__).parent / "c" / "plant" / "flow"
@@ -453,3 +454,33 @@ def test_declared_dependencies_cover_the_derivatives(name):
             for k in range(n):
                 assert complex(dz[k]).imag == 0.0 or what in rates[names[k]], (names[k], what)
             assert complex(values[instance.model.device.output]).imag == 0.0 or what in output, what
+
+
+#: parameters of each device that its equations only compare with numbers
+SWITCHES = {
+    "wecc_converter": "PLANT",
+    "regfm_b1": "wFlag",
+    "der_a": "TypeFlag",
+    "lcc": "POWER",
+    "vsc": "KEEPV1",
+}
+
+
+@pytest.mark.parametrize(("key", "switch"), SWITCHES.items())
+def test_a_switch_is_a_whole_number(key: str, switch: str) -> None:
+    device = library()[key].device
+    assert row_of(device, {switch: 1})[switch] == 1.0
+    with pytest.raises(
+        DeviceError, match=rf"^\.{switch} = 0\.5, allowed: a whole number, at least 0 and at most 1$"
+    ):
+        row_of(device, {switch: 0.5})
+
+
+def test_what_the_equations_calculate_with_is_no_switch() -> None:
+    devices = {key: model.device for key, model in library().items()}
+    assert "ICS" in devices["ieeest"].switches and "A1" not in devices["ieeest"].switches
+    assert not devices["sexs"].switches
+    for device in devices.values():
+        for name in device.switches:
+            default = device.by_name[name].default
+            assert default is None or default == round(default)
