@@ -31,7 +31,7 @@ _STAYS_F, _STAYS_Z = (
     0.02,
     0.02,
 )  # relative change of a frequency, change of a damping ratio from order to order
-_LIKE = 0.5  # of the squared cosine of two shapes that are one
+LIKE = 0.5  #: squared cosine of two shapes that are nearer to each other than to any at right angles
 _LEAST_ORDERS = 4  # at which a pole is there
 _MOST_DAMPED = 0.35
 _LEAST_SHARE = 0.01  # of the motion: less is no mode
@@ -195,18 +195,18 @@ def _stable(R: Array, rows: int, step_s: float, band_hz: tuple[float, float]) ->
     return _apart(estimates)
 
 
-def _apart(
-    estimates: list[_Entry],
-) -> list[_Entry]:
+def _apart(estimates: list[_Entry]) -> list[_Entry]:
     """Leave out of two tracks of one pole and shape the weaker one."""
     left: list[_Entry] = []
     for entry in sorted(estimates, key=lambda e: -e[3]):
-        if all(abs(entry[1] - e[1]) > 0.03 * abs(e[1]) or _likeness(entry[2], e[2]) < _LIKE for e in left):
+        if all(
+            abs(entry[1] - e[1]) > 0.03 * abs(e[1]) or squared_cosine(entry[2], e[2]) < LIKE for e in left
+        ):
             left.append(entry)
     return left
 
 
-def _likeness(shapes: ComplexArray, other: ComplexArray) -> Array:
+def squared_cosine(shapes: ComplexArray, other: ComplexArray) -> Array:
     """Return the squared cosine of each of `shapes` (m, poles) or (m,) and another (m,)."""
     size = np.sum(np.abs(shapes) ** 2, axis=0) * np.sum(np.abs(other) ** 2)
     return np.asarray(np.abs(other.conj() @ shapes) ** 2 / np.maximum(size, 1e-300))
@@ -219,7 +219,7 @@ def _ratio(pole: complex) -> float:
 def _stays(before: _Entry, now: _Entry) -> bool:
     change = abs(abs(now[1]) - abs(before[1])) / abs(before[1])
     close = change <= _STAYS_F and abs(_ratio(now[1]) - _ratio(before[1])) <= _STAYS_Z
-    return bool(close and _likeness(now[2], before[2]) >= _LIKE)
+    return bool(close and squared_cosine(now[2], before[2]) >= LIKE)
 
 
 def _yule_walker(R: Array, step_s: float) -> tuple[ComplexArray, ComplexArray]:
@@ -241,7 +241,7 @@ def _nearest(
     """Return the pole that is nearest to another, its distance divided by the likeness of their shapes."""
     if not poles.size:
         return None
-    away = np.abs(poles - to) / np.maximum(_likeness(shapes, shape), 1e-6)
+    away = np.abs(poles - to) / np.maximum(squared_cosine(shapes, shape), 1e-6)
     best = complex(poles[np.argmin(away)])
     return best if abs(best - to) <= within * abs(to) else None
 

@@ -12,7 +12,7 @@ from scipy.stats import norm
 
 from ..results import matrix_pencil as pencil
 from ..results import metrics as m
-from .ambient import LEVEL, AmbientMode, Estimate, ambient_modes
+from .ambient import LEVEL, AmbientMode, Estimate, ambient_modes, squared_cosine
 from .forced import FORCED, LEAST_DAMPING, MODAL, UNDECIDED, Line, forced_hz, lines_of, without
 from .record import BAND_HZ, Array, Record, RecordError
 from .signals import Swings, swings_of
@@ -302,7 +302,7 @@ def likeness(one: Mapping[str, complex], other: Mapping[str, complex]) -> float:
         return 0.0
     a, b = (np.array([complex(shape[t]) for t in both]) for shape in (one, other))
     a, b = (a - a.mean(), b - b.mean()) if len(both) >= 3 else (a, b)
-    return float(abs(np.vdot(a, b)) ** 2 / max(float(np.vdot(a, a).real * np.vdot(b, b).real), 1e-300))
+    return float(squared_cosine(a, b))
 
 
 def _named(swing: Swing, modes: Sequence[Mode]) -> Swing:

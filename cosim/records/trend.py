@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
-from .ambient import Estimate
+from .ambient import LIKE, Estimate
 from .files.read import Piece
 from .forced import FORCED, MODAL
 from .meter import NEAR_HZ, Meter, Swing, likeness, meter
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from interarea.design.modes.modes import Mode
 
 EVERY_S = 600.0  #: length of a part: what gives the damping ratios of docs/records.md
-_LIKE = 0.5  # squared cosine of two shapes that are nearer to each other than to any at right angles
 
 
 @dataclass(frozen=True)
@@ -181,4 +180,4 @@ def _is_same(earlier: Swing, swing: Swing) -> bool:
     if earlier.mode and earlier.mode == swing.mode:
         return True
     near = abs(earlier.frequency_hz - swing.frequency_hz) <= NEAR_HZ * swing.frequency_hz
-    return near and likeness(earlier.shape, swing.shape) >= _LIKE
+    return near and likeness(earlier.shape, swing.shape) >= LIKE
