@@ -30,6 +30,9 @@ enum { DC_STEPS = 6 };   /* at most; with b up to 1 the fourth is below rounding
 
 static inline int dc_link_is_inverter(const real *row) { return index_at(row, P_COUPLING) == COUPLING_INVERTER; }
 
+/* The rectifier's delay angle before its limits: current i, order and a_i. */
+static inline num dc_link_delay(const real *row, num i, num order, num angle) { return angle + row[P_GAIN] * (i - order); }
+
 /* The extinction angle before its limits, and its cosine: current i, order and a_i; u not below P_LOW. start: an angle near it, or
  * null. */
 static inline num dc_link_extinction(const real *row, num i, num order, num angle, num u, const num *start, num *cosine)
@@ -89,7 +92,7 @@ static inline num dc_link_phi(const real *row, const num *x, num u, const num *s
             cosine = num_pick(beyond, limited, cosine);
         }
     } else {
-        if (start == NULL) num_sincos(num_clamp(angle + row[P_GAIN] * (i - order), least, most), &sine, &cosine);
+        if (start == NULL) num_sincos(num_clamp(dc_link_delay(row, i, order, angle), least, most), &sine, &cosine);
         else cosine = *start;
         *kept = cosine;
     }
@@ -128,7 +131,7 @@ static inline void dc_link_slope(const double *row, const double *x, size_t stri
     double ignored;
     const double free = x == NULL ? row[P_REST]
                         : dc_link_is_inverter(row) ? dc_link_extinction(row, i, order, base, u, NULL, &ignored)
-                                                   : base + row[P_GAIN] * (i - order);
+                                                   : dc_link_delay(row, i, order, base);
     const double angle = num_clamp(free, row[P_ANGLE_MIN], row[P_ANGLE_MAX]), drop = row[P_DROP] * i / (row[P_NO_LOAD] * u);
     const double size = row[P_SCALE] * i, sign = dc_link_is_inverter(row) ? 1.0 : -1.0;
     double sine, cosine, turns = 0.0;
