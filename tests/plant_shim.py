@@ -188,6 +188,7 @@ class BlockShim:
         self._block = _Block(record=ctypes.pointer(self._record), layout=layout)
         sizes = {"x": layout.x, "dx": layout.x, "u": layout.u, "y": layout.y, "w": layout.w, "p": layout.p}
         sizes |= {"memory": needs.n_memory, "scratch": needs.n_scratch}
+        self.n_warm = int(needs.n_warm)
         for name, size in sizes.items():
             self._share(name, np.zeros(size))
         for name in ("iu", "iy", "iw", "ip"):

@@ -59,6 +59,7 @@ SOURCES = tuple(
         "plant/events/topology.c",
         "plant/events/sparse_stage.c",
         "plant/network/sparse_factor.c",
+        "plant/network/sparse_4.c",
         "plant/network/sparse_port.c",
         "plant/start/failure.c",
         "plant/network/port.c",

@@ -54,7 +54,10 @@ static inline BlockStatus limited_stage(void *context, RungeKuttaStage stage, do
     const double into = stage == RK_BEGIN ? 0.0 : stage == RK_END ? h : h / 2.0;
 
     if (s->limits.mode != LIMITS_HOLD) s->limits.mode = stage == RK_BEGIN ? LIMITS_NOTE : LIMITS_WATCH;
-    return limited_flow(s, into, x, k);
+    s->limits.stage = 1;
+    const BlockStatus status = limited_flow(s, into, x, k);
+    s->limits.stage = 0;
+    return status;
 }
 
 /* By how much a limiter is beyond its range at x, `into` seconds after s->done; states held go onto
@@ -241,7 +244,7 @@ static inline BlockStatus limited_again(LimitedStep *s, double h, double *x)
         double overrun, landed;
         if (count > 0) {
             s->limits.mode = LIMITS_NOTE;
-            if ((status = limited_flow(s, 0.0, s->x, s->work)) != BLOCK_OK) return status;
+            if ((status = limited_stage(s, RK_BEGIN, 0.0, s->x, s->work)) != BLOCK_OK) return status;
         }
         if ((status = limited_try(s, h - s->done, &overrun)) != BLOCK_OK) return status;
         if (count == 0 && (status = limited_stable(s, h)) != BLOCK_OK) return status;

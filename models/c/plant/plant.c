@@ -47,7 +47,7 @@ BlockStatus block_needs(const Record *record, const BlockLayout *layout, BlockNe
     needs->n_scratch = scratch_of(&plan, layout);
     needs->n_notes = plan.n_device * (plan.wide ? 2 : 1);
     needs->n_decisions = plan.n_decision;
-    needs->n_warm = plan.folded > 0 ? plan.total - plan.warm : plan.n_port > 0 ? plan.total : 0;
+    needs->n_warm = plan.n_port > 0 ? plan.total - plan.warm : 0;
     return BLOCK_OK;
 }
 
@@ -106,7 +106,7 @@ static void keep_time(const Block *b, double t)
 {
     Plan own;
     const Plan *plan = plan_in(b->memory, &own);
-    if (plan->n_port > 0) b->memory[plan->folded > 0 ? plan->warm + W_TIME : H_TIME] = t;
+    if (plan->n_port > 0) b->memory[plan->warm + (plan->folded > 0 ? W_TIME : F_TIME)] = t;
 }
 
 BlockStatus block_derivatives(Block *b, double t, const double *x, const double *u, double *dx,
@@ -125,6 +125,7 @@ BlockStatus block_derivatives(Block *b, double t, const double *x, const double 
         notes.worst = &limits->worst;
         notes.onto = limits->onto;
         notes.each = limits->each;
+        notes.stage = limits->stage;
     }
     if (limits != NULL && limits->mode == LIMITS_HOLD)
         stuck = plant_flow_held(b->memory, places_of(b), b->lanes, x, u, dx, b->scratch, notes, NULL);

@@ -114,12 +114,12 @@ static void assemble(double *memory, const Plan *plan, const Network *net, const
 }
 
 /* Row where the solution for the row sums is farthest from 1; how far into `worst`. */
-static size_t farthest(const double *memory, const Plan *plan, const Pattern *s, double *v, double *worst)
+static size_t farthest(const double *memory, const Plan *plan, const Pattern *s, size_t lanes, double *v, double *worst)
 {
     size_t row = 0;
 
-    sparse_forward(memory, plan, s, 0, v);
-    sparse_backward(memory, plan, s, 0, plan->n_node, v);
+    sparse_forward(memory, plan, s, lanes, 0, v);
+    sparse_backward(memory, plan, s, lanes, 0, plan->n_node, v);
     *worst = 0.0;
     for (size_t k = 0; k < plan->n_node; ++k) {
         const double off = fabs(v[2 * k] - 1.0) + fabs(v[2 * k + 1]);
@@ -131,23 +131,30 @@ static size_t farthest(const double *memory, const Plan *plan, const Pattern *s,
     return row;
 }
 
-/* Of few ports: the rows from them to the last one, and what their injections give among them. work: 4 n_node. */
+/* The rows from the ports to the last one: all that what they inject or their slopes change. work: n_node. */
+static void port_path(double *memory, const Plan *plan, const Pattern *s, double *work)
+{
+    double *rows = memory + plan->port_path;
+    size_t count = 0;
+
+    for (size_t k = 0; k < plan->n_node; ++k) work[k] = 0.0;
+    for (size_t p = 0; p < plan->n_port; ++p) work[s->port[p]] = 1.0;
+    for (size_t k = 0; k < plan->n_node; ++k) {
+        if (!(work[k] > 0.5)) continue;
+        rows[count++] = (double)k;
+        for (int32_t e = s->upper[k]; e < s->upper[k + 1]; ++e) work[s->upper_column[e]] = 1.0;
+    }
+    memory[H_PORT_PATH] = (double)count;
+}
+
+/* What the injections of few ports give among them. work: 4 n_node. */
 static void few_ports(double *memory, const Plan *plan, const Pattern *s, double *work)
 {
     const size_t n = plan->n_port;
     const double *ratio = memory + plan->machine + M_RATIO * plan->n_machine;
-    double *at = work, *v = at + 2 * plan->n_node, *rows = memory + plan->port_path;
-    size_t count = 0;
+    double *at = work, *v = at + 2 * plan->n_node;
 
     for (size_t k = 0; k < 4 * plan->n_node; ++k) work[k] = 0.0;
-    for (size_t p = 0; p < n; ++p) at[2 * s->port[p]] = 1.0;
-    for (size_t k = 0; k < plan->n_node; ++k) {
-        if (!(at[2 * k] > 0.5)) continue;
-        rows[count++] = (double)k;
-        for (int32_t e = s->upper[k]; e < s->upper[k + 1]; ++e) at[2 * s->upper_column[e]] = 1.0;
-    }
-    memory[H_PORT_PATH] = (double)count;
-    for (size_t k = 0; k < 2 * plan->n_node; ++k) at[k] = 0.0;
     for (size_t q = 0; q < n; ++q) {
         const double *row = memory + plan->port + P_ROWS * q;
         const double of = port_is_machine(row) ? ratio[index_at(row, P_DEVICE)] : 1.0;
@@ -163,7 +170,7 @@ static void few_ports(double *memory, const Plan *plan, const Pattern *s, double
 }
 
 /* Machine currents from the EMFs, by columns, for rates, which ask for nothing else. work: 2 n_node + 2 n_machine. */
-static void reduce(double *memory, const Plan *plan, const Pattern *s, double *work)
+static void reduce(double *memory, const Plan *plan, const Pattern *s, size_t lanes, double *work)
 {
     const size_t n = plan->n_machine;
     double *v = work, *e_re = v + 2 * plan->n_node, *e_im = e_re + n;
@@ -172,7 +179,7 @@ static void reduce(double *memory, const Plan *plan, const Pattern *s, double *w
     for (size_t k = 0; k < n; ++k) {
         e_re[k] = 1.0;
         network_inject(memory, plan, s, e_re, e_im, v);
-        network_solve(memory, plan, s, v);
+        network_solve(memory, plan, s, lanes, v);
         network_machines(memory, plan, s, e_re, e_im, v, memory + plan->y_re + k * n, memory + plan->y_im + k * n);
         e_re[k] = 0.0;
     }
@@ -186,23 +193,24 @@ static size_t bus_at(const Plan *plan, const Pattern *s, size_t row)
     return plan->n_bus;
 }
 
-BlockStatus sparse_stage(double *memory, const Plan *plan, const Network *net, const double *extra,
+BlockStatus sparse_stage(double *memory, const Plan *plan, const Network *net, size_t lanes, const double *extra,
                          const double *dead, double *work, BlockMessage *message)
 {
     const Pattern s = pattern_of(net->places, plan);
     double *sum = work, *w = sum + 2 * plan->n_node, worst = 0.0;
     char name[64];
 
-    memory[H_PORT_READY] = 0.0;   /* the slopes are those of another stage */
-    for (size_t k = 0; k < (plan->width == 4 ? 3u : 0u); ++k) memory[plan->port_past + k] = INFINITY;
+    memory[H_PORT_READY] = 0.0;
     for (size_t k = 0; k < 4 * plan->n_port; ++k) memory[plan->port_slope + k] = 0.0;
     assemble(memory, plan, net, &s, extra, dead, sum);
-    size_t row = sparse_factor(memory, plan, &s, w);
+    if (plan->n_port > 0) port_path(memory, plan, &s, w);
+    size_t row = sparse_factor(memory, plan, &s, lanes, SPARSE_ALL, w);
+    if (plan->width == 4) sparse_port_forget(memory, plan);
     if (row == plan->n_node) {
-        row = farthest(memory, plan, &s, sum, &worst);
+        row = farthest(memory, plan, &s, lanes, sum, &worst);
         if (worst <= RESIDUAL) {
             if (plan->few > 0) few_ports(memory, plan, &s, work);
-            if (plan->reduced > 0) reduce(memory, plan, &s, work);
+            if (plan->reduced > 0) reduce(memory, plan, &s, lanes, work);
             return BLOCK_OK;
         }
     }

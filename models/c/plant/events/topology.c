@@ -321,7 +321,7 @@ BlockStatus topology_build(double *memory, const Plan *plan, const Network *net,
     find_parts(memory, plan, net, work, more, dead);
     if (parts > 0.0 || memory[H_PARTS] > 1.0 || memory[H_DEAD] > 0.0)   /* at the start all in one is no news */
         tell_parts(memory, plan, net, dead, parts, buses, message);
-    const BlockStatus status = is_sparse(plan) ? sparse_stage(memory, plan, net, extra, dead, more, message)
+    const BlockStatus status = is_sparse(plan) ? sparse_stage(memory, plan, net, lanes, extra, dead, more, message)
                                                : dense_stage(memory, plan, net, extra, dead, more, message);
     if (status == BLOCK_OK && plan->folded > 0) port_fold_at_rest(memory, plan, lanes, REST_AGAIN_S, more);
     return status;

@@ -68,11 +68,7 @@ static void solve_sparse_tangent(const double *memory, const Plan *plan, const P
 #if !defined PLANT_TANGENT && !defined PLANT_LANES
 static PortCare port_care(const Work *w)
 {
-    if (w->exact) return PORT_EXACT;
-#ifndef PLANT_HELD
-    if (w->notes.words != NULL) return PORT_STEP;
-#endif
-    return PORT_ALONE;
+    return w->exact ? PORT_EXACT : w->notes.stage ? PORT_STEP : PORT_ALONE;
 }
 #endif
 
@@ -85,7 +81,7 @@ static size_t solve_ports(real *memory, const Plan *plan, const num *x, const nu
     return stuck < plan->n_port ? stuck + 1 : 0;
 #else
 #ifdef PLANT_LANES
-    const PortCare care = w->rates && w->notes.words != NULL ? PORT_STEP : PORT_ALONE;
+    const PortCare care = w->notes.stage ? PORT_STEP : PORT_ALONE;
     num *b = work, *more = b + 2 * plan->n_port;
     port_given(memory, plan, 0, w->e_re, w->e_im, linear, b, more);
     const flag failed = port_iterate(memory, plan, 0, care, w->own->warm, w->own->keep, b, x, w->sine, w->cosine,
@@ -130,10 +126,10 @@ static size_t solve_few(real *memory, const Plan *plan, const Pattern *pattern, 
 {
     num *z = base + 2 * plan->n_node, *linear = z + 2 * plan->n_node;
 
-    sparse_few_begin(memory, plan, pattern, w->v, z, linear);
+    sparse_few_begin(memory, plan, pattern, w->lanes, w->v, z, linear);
     const size_t stuck = solve_ports(memory, plan, x, linear, linear + 2 * plan->n_port, w);
     if (stuck > 0) return stuck;
-    sparse_few_end(memory, plan, pattern, base, w->e_re, w->e_im, w->v);
+    sparse_few_end(memory, plan, pattern, w->lanes, base, w->e_re, w->e_im, w->v);
     return 0;
 }
 
@@ -153,7 +149,7 @@ static size_t solve_sparse(real *memory, const Plan *plan, const Pattern *patter
     }
     network_inject(memory, plan, pattern, w->e_re, w->e_im, w->v);
     if (plan->n_port == 0) {
-        network_solve(memory, plan, pattern, w->v);
+        network_solve(memory, plan, pattern, w->lanes, w->v);
         network_machines(memory, plan, pattern, w->e_re, w->e_im, w->v, w->i_re, w->i_im);
         return 0;
     }
@@ -168,7 +164,7 @@ static size_t solve_sparse(real *memory, const Plan *plan, const Pattern *patter
 #ifdef PLANT_TANGENT
     solve_sparse_tangent(memory, plan, pattern, x, base, w);
 #else
-    const size_t stuck = sparse_port_solve(memory, plan, pattern, port_care(w), x, w->sine, w->cosine, base, w->e_re,
+    const size_t stuck = sparse_port_solve(memory, plan, pattern, w->lanes, port_care(w), x, w->sine, w->cosine, base, w->e_re,
                                            w->e_im, w->port, w->v, base + 2 * plan->n_node);
     if (stuck < plan->n_port) return stuck + 1;
 #endif
@@ -385,7 +381,7 @@ size_t plant_voltages(double *memory, const int32_t *places, size_t lanes, const
 
     const size_t stuck = solve_network(memory, plan, &pattern, x, &w);
     if (stuck > 0) return stuck;
-    if (is_sparse(plan)) sparse_backward(memory, plan, &pattern, 0, plan->first, w.v);
+    if (is_sparse(plan)) sparse_backward(memory, plan, &pattern, lanes, 0, plan->first, w.v);
     for (size_t k = 0; k < plan->n_bus; ++k) {
         double re, im;
         network_voltage(memory, plan, &pattern, k, w.e_re, w.e_im, w.v, &re, &im);

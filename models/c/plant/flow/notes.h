@@ -12,11 +12,12 @@ typedef struct {
     double *each;     /* held: by how much each decision is overrun, `most` of every device, or null */
     size_t most;
     size_t second;
+    int stage;        /* a stage of a step asks, whose own error is larger than what ports leave (PORT_STEP) */
 } Notes;
 /* Of several scenarios side by side: what their ports keep (port.h), and in which it is brought up to date. Alone that
  * lies in memory, and this is null. */
 typedef struct { cell *warm; flag keep; } Warm;
-#define NO_NOTES ((Notes){ NULL, NULL, NULL, NULL, NULL, 0, 0 })
+#define NO_NOTES ((Notes){ NULL, NULL, NULL, NULL, NULL, 0, 0, 0 })
 
 /* Those of the devices from `device` on, of `devices`, whose states begin at `state`. */
 static inline Notes notes_of(const Notes *all, size_t device, size_t devices, size_t state)

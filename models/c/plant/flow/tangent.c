@@ -65,7 +65,7 @@ static void solve_sparse_tangent(const double *memory, const Plan *plan, const P
         w->port.v_re[p] = v[p];
         w->port.v_im[p] = v[n + p];
     }
-    sparse_port_step(memory, plan, pattern, x, w->sine, w->cosine, base, w->e_re, w->e_im, w->port, w->v);
+    sparse_port_step(memory, plan, pattern, 0, x, w->sine, w->cosine, base, w->e_re, w->e_im, w->port, w->v);
     for (size_t p = 0; p < n; ++p) {
         w->port.v_re[p] = w->v[2 * pattern->port[p]];
         w->port.v_im[p] = w->v[2 * pattern->port[p] + 1];
@@ -188,7 +188,7 @@ size_t plant_device_slopes(double *memory, const int32_t *places, const BlockLay
     for (size_t k = 0; k < layout->n_x; ++k) z[k] = with_slope(x[k], 0.0);
     stuck = solve_network(memory, plan, &pattern, z, &w);
     if (stuck > 0) return stuck;
-    if (is_sparse(plan)) sparse_backward(memory, plan, &pattern, 0, plan->first, w.v);
+    if (is_sparse(plan)) sparse_backward(memory, plan, &pattern, 0, 0, plan->first, w.v);
     for (size_t k = 0; k < n; ++k)
         network_voltage(memory, plan, &pattern, index_at(memory + plan->machine_bus, k), w.e_re, w.e_im, w.v,
                         &volts[k], &volts[sources + k]);

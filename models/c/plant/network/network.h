@@ -38,10 +38,10 @@ static inline void network_inject(const real *memory, const Plan *plan, const Pa
 }
 
 /* Node voltages in place of node currents, from row `first` on. */
-static inline void network_solve(const real *memory, const Plan *plan, const Pattern *pattern, num *v)
+static inline void network_solve(const real *memory, const Plan *plan, const Pattern *pattern, size_t lanes, num *v)
 {
-    sparse_forward(memory, plan, pattern, plan->first, v);
-    sparse_backward(memory, plan, pattern, plan->first, plan->n_node, v);
+    sparse_forward(memory, plan, pattern, lanes, plan->first, v);
+    sparse_backward(memory, plan, pattern, lanes, plan->first, plan->n_node, v);
 }
 
 /* Machine currents from the node voltages v. */

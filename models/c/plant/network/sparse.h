@@ -148,16 +148,41 @@ static inline void sparse_backward_row(const real *memory, const Plan *plan, con
     v[2 * k + 1] = y[2 * k + 1] - im;
 }
 
-/* v = L^-1 v from row `first` on; nothing enters the rows before. */
-static inline void sparse_forward(const real *memory, const Plan *plan, const Pattern *s, size_t first, num *v)
+/* All rows, or those that the slopes of the ports change: the others are as they were. */
+typedef enum { SPARSE_ALL, SPARSE_PATH } SparseRows;
+
+#if defined __x86_64__ && !defined PLANT_DENSE
+#define SPARSE_HAS_FOUR   /* sparse_4.c, for processors with AVX2 */
+size_t sparse_factor_4(double *memory, const Plan *plan, const Pattern *s, SparseRows which, double *w);
+void sparse_forward_4(const double *memory, const Plan *plan, const Pattern *s, size_t first, double *v);
+void sparse_backward_4(const double *memory, const Plan *plan, const Pattern *s, size_t first, size_t last, double *v);
+#endif
+
+/* v = L^-1 v from row `first` on; nothing enters the rows before. lanes: width of the tiles (tiles.h). */
+static inline void sparse_forward(const real *memory, const Plan *plan, const Pattern *s, size_t lanes, size_t first,
+                                  num *v)
 {
+#if defined SPARSE_HAS_FOUR && !defined PLANT_TANGENT && !defined PLANT_LANES
+    if (lanes >= 4) {
+        sparse_forward_4(memory, plan, s, first, v);
+        return;
+    }
+#endif
+    (void)lanes;
     for (size_t k = first; k < plan->n_node; ++k) sparse_forward_row(memory, plan, s, first == 0, k, v, v);
 }
 
 /* v = U^-1 v for the rows last - 1 down to first; those from `last` on are done. */
-static inline void sparse_backward(const real *memory, const Plan *plan, const Pattern *s, size_t first,
+static inline void sparse_backward(const real *memory, const Plan *plan, const Pattern *s, size_t lanes, size_t first,
                                    size_t last, num *v)
 {
+#if defined SPARSE_HAS_FOUR && !defined PLANT_TANGENT && !defined PLANT_LANES
+    if (lanes >= 4) {
+        sparse_backward_4(memory, plan, s, first, last, v);
+        return;
+    }
+#endif
+    (void)lanes;
     for (size_t k = last; k-- > first;) sparse_backward_row(memory, plan, s, k, v, v);
 }
 #endif

@@ -3,6 +3,7 @@
 #include "sparse.h"
 
 /* Factors the matrix that lies in its places (sparse.h), row by row. With ports: the linear matrix less
- * the slopes in memory. Returns n_node, or the row whose pivot vanishes. w: 4 n_node doubles. */
-size_t sparse_factor(double *memory, const Plan *plan, const Pattern *pattern, double *w);
+ * the slopes in memory. Returns n_node, or the row whose pivot vanishes. lanes: width of the tiles (tiles.h).
+ * w: 4 n_node doubles. */
+size_t sparse_factor(double *memory, const Plan *plan, const Pattern *pattern, size_t lanes, SparseRows which, double *w);
 #endif

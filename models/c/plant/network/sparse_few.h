@@ -29,11 +29,11 @@ static inline void sparse_few_backward(const real *memory, const Plan *plan, con
 
 /* Voltages of the ports, real parts and then imaginary ones, without what they inject; y into v, which holds what the
  * EMFs inject. z: 2 n_node. */
-static inline void sparse_few_begin(const real *memory, const Plan *plan, const Pattern *s, num *v, num *z, num *linear)
+static inline void sparse_few_begin(const real *memory, const Plan *plan, const Pattern *s, size_t lanes, num *v, num *z, num *linear)
 {
     const size_t n = plan->n_port;
 
-    sparse_forward(memory, plan, s, plan->first, v);
+    sparse_forward(memory, plan, s, lanes, plan->first, v);
     sparse_few_backward(memory, plan, s, v, z);
     for (size_t p = 0; p < n; ++p) {
         linear[p] = z[2 * s->port[p]];
@@ -42,7 +42,7 @@ static inline void sparse_few_begin(const real *memory, const Plan *plan, const 
 }
 
 /* Node voltages with what the ports inject, e, into v; base: what the EMFs inject, and then all. */
-static inline void sparse_few_end(const real *memory, const Plan *plan, const Pattern *s, num *base, num *e_re, num *e_im,
+static inline void sparse_few_end(const real *memory, const Plan *plan, const Pattern *s, size_t lanes, num *base, num *e_re, num *e_im,
                                   num *v)
 {
     sparse_port_scale(memory, plan, 0, e_re, e_im);
@@ -51,6 +51,6 @@ static inline void sparse_few_end(const real *memory, const Plan *plan, const Pa
         base[2 * s->port[p] + 1] += e_im[plan->n_machine + p];
     }
     sparse_few_forward(memory, plan, s, base, v);
-    sparse_backward(memory, plan, s, plan->first, plan->n_node, v);
+    sparse_backward(memory, plan, s, lanes, plan->first, plan->n_node, v);
 }
 #endif

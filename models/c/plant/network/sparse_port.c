@@ -21,6 +21,7 @@ typedef struct {
     double *memory;
     const Plan *plan;
     const Pattern *pattern;
+    size_t lanes;
     const double *x, *sine, *cosine, *base;
     double *e_re, *e_im;
     PortWork at;
@@ -34,7 +35,7 @@ static double step(const Problem *s, size_t *port)
 {
     double moved = 0.0;
 
-    sparse_port_step(s->memory, s->plan, s->pattern, s->x, s->sine, s->cosine, s->base, s->e_re, s->e_im, s->at,
+    sparse_port_step(s->memory, s->plan, s->pattern, s->lanes, s->x, s->sine, s->cosine, s->base, s->e_re, s->e_im, s->at,
                      s->v);
     for (size_t p = 0; p < s->plan->n_port; ++p) {
         const double *v = s->v + 2 * s->pattern->port[p];
@@ -92,7 +93,7 @@ static void start_from_past(const Problem *s)
 {
     const size_t n = s->plan->n_port;
     const double *times = s->memory + s->plan->port_past, *newest = s->memory + s->plan->port_v;
-    const double *older = times + 3, *oldest = older + 2 * n, t = s->memory[H_TIME];
+    const double *older = times + 3, *oldest = older + 2 * n, t = s->memory[s->plan->warm + F_TIME];
     double w1 = 0.0, w2 = 0.0;
 
     while (times[0] < INFINITY && times[0] > t + SAME_S) shift(s, 1);
@@ -121,7 +122,7 @@ static void start_from_past(const Problem *s)
 static void keep(const Problem *s)
 {
     double *times = s->memory + s->plan->port_past, *last = s->memory + s->plan->port_v;
-    const double t = s->memory[H_TIME];
+    const double t = s->memory[s->plan->warm + F_TIME];
 
     if (!(fabs(t - times[0]) <= SAME_S)) shift(s, 0);
     times[0] = t;
@@ -129,6 +130,23 @@ static void keep(const Problem *s)
         last[p] = s->at.v_re[p];
         last[s->plan->n_port + p] = s->at.v_im[p];
     }
+}
+
+/* The slopes in memory into the factors. 0: singular. */
+static int factor(const Problem *s)
+{
+    double *memory = s->memory, *of = memory + s->plan->warm;
+
+    memory[H_FACTORS] += 1.0;
+    of[F_NUMBER] = memory[H_FACTORS];
+    return sparse_factor(memory, s->plan, s->pattern, s->lanes, SPARSE_PATH, s->work) == s->plan->n_node;
+}
+
+/* A step that has been undone may leave factors with other slopes. */
+static void restore_factors(const Problem *s)
+{
+    double *of = s->memory + s->plan->warm;
+    if (of[F_NUMBER] < s->memory[H_FACTORS] && !factor(s)) of[F_READY] = 0.0;
 }
 
 /* Slopes at the port voltages in s->at into the factors. 0: singular. */
@@ -146,23 +164,24 @@ static int fold(const Problem *s)
         at[2 * p] = s->at.v_re[p];
         at[2 * p + 1] = s->at.v_im[p];
     }
-    memory[H_PORT_READY] = sparse_factor(memory, s->plan, s->pattern, s->work) == s->plan->n_node ? 1.0 : 0.0;
-    memory[H_PORT_RATIO] = 1.0;
-    memory[H_PORT_USED] = 0.0;
-    return memory[H_PORT_READY] > 0.5;
+    double *of = memory + s->plan->warm;
+    of[F_READY] = factor(s) ? 1.0 : 0.0;
+    of[F_RATIO] = 1.0;
+    of[F_USED] = 0.0;
+    return of[F_READY] > 0.5;
 }
 
 /* Steps with the same slopes until the next would move nothing worth it; 0: they do not contract. How well they
  * do is known from the solution before, so that a good start needs one. */
 static int iterate(const Problem *s, double accuracy, size_t *port)
 {
-    double *known = s->memory + H_PORT_RATIO, before = INFINITY;
+    double *of = s->memory + s->plan->warm, *known = of + F_RATIO, before = INFINITY;
 
     for (int count = 1; count <= MOST; ++count) {
         const double moved = step(s, port), ratio = moved / before;
         if (!(moved < 1e6) || (moved > ROUNDING && !(ratio < SLOW) && count > 1)) return 0;
         take(s, 1.0);
-        if (count == ENOUGH) s->memory[H_PORT_READY] = 0.0;   /* slow: other slopes the next time */
+        if (count == ENOUGH) of[F_READY] = 0.0;   /* slow: other slopes the next time */
         if (count > 1) *known = larger(ratio, LEAST);
         if (moved <= ROUNDING) return 1;
         if (moved * *known * (count > 1 ? 1.0 : MARGIN) <= accuracy) {
@@ -216,9 +235,9 @@ static int newton_from_many(const Problem *s, size_t *port)
         start_from_last(s);
         if (tries % 4 > 0) {   /* without what the ports inject */
             for (size_t k = 0; k < 4 * n; ++k) s->memory[s->plan->port_slope + k] = 0.0;
-            if (sparse_factor(s->memory, s->plan, s->pattern, s->work) < s->plan->n_node) return 0;
+            if (!factor(s)) return 0;
             memcpy(s->v, s->base, 2 * s->plan->n_node * sizeof(double));
-            network_solve(s->memory, s->plan, s->pattern, s->v);
+            network_solve(s->memory, s->plan, s->pattern, s->lanes, s->v);
             take(s, 1.0);
         }
         for (size_t p = 0; p < n; ++p) {
@@ -236,37 +255,39 @@ static int newton_from_many(const Problem *s, size_t *port)
 static int folded_here(const Problem *s)
 {
     const double *at = s->memory + s->plan->port_fold;
-    double off = s->memory[H_PORT_READY] > 0.5 ? 0.0 : 1.0;
+    double off = s->memory[s->plan->warm + F_READY] > 0.5 ? 0.0 : 1.0;
     for (size_t p = 0; p < s->plan->n_port; ++p)
         off = larger(off, fabs(s->at.v_re[p] - at[2 * p]) + fabs(s->at.v_im[p] - at[2 * p + 1]));
     return off <= 1e-12;
 }
 
-size_t sparse_port_solve(double *memory, const Plan *plan, const Pattern *pattern, PortCare care, const double *x,
+size_t sparse_port_solve(double *memory, const Plan *plan, const Pattern *pattern, size_t lanes, PortCare care, const double *x,
                          const double *sine, const double *cosine, const double *base, double *e_re, double *e_im,
                          PortWork w, double *v, double *work)
 {
-    const Problem problem = { memory, plan, pattern, x, sine, cosine, base, e_re, e_im, w, v, work };
+    const Problem problem = { memory, plan, pattern, lanes, x, sine, cosine, base, e_re, e_im, w, v, work };
     const Problem *s = &problem;
     const double accuracy = care == PORT_EXACT ? 0.0 : care == PORT_STEP ? STEP_ACCURACY : ACCURACY;
     size_t port = 0;
 
+    double *of = memory + plan->warm;
+    restore_factors(s);
     start_from_past(s);
-    int solved = memory[H_PORT_READY] > 0.5 && iterate(s, accuracy, &port);
+    int solved = of[F_READY] > 0.5 && iterate(s, accuracy, &port);
     if (!solved) {
         start_from_last(s);
         solved = fold(s) && iterate(s, accuracy, &port);
     }
     if (!solved) solved = newton_from_many(s, &port);
     if (!solved) {
-        memory[H_PORT_READY] = 0.0;
+        of[F_READY] = 0.0;
         return port;
     }
     if (care == PORT_EXACT && !folded_here(s) && !fold(s)) return port;
     if (plan->n_node > plan->n_bus)
         sparse_port_inject(memory, plan, ports_at_buses(memory, plan), x, sine, cosine, w, e_re, e_im);
     keep(s);
-    memory[H_PORT_USED] += 1.0;
-    if (memory[H_PORT_RATIO] > SLOWER && memory[H_PORT_USED] >= OFTEN) memory[H_PORT_READY] = 0.0;
+    of[F_USED] += 1.0;
+    if (of[F_RATIO] > SLOWER && of[F_USED] >= OFTEN) of[F_READY] = 0.0;
     return plan->n_port;
 }

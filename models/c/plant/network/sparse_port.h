@@ -34,7 +34,7 @@ static inline void sparse_port_inject(const real *memory, const Plan *plan, size
 }
 
 /* One step from the port voltages in w: node voltages into v. base: what the EMFs inject. */
-static inline void sparse_port_step(const real *memory, const Plan *plan, const Pattern *s, const num *x,
+static inline void sparse_port_step(const real *memory, const Plan *plan, const Pattern *s, size_t lanes, const num *x,
                                     const num *sine, const num *cosine, const num *base, num *e_re, num *e_im,
                                     PortWork w, num *v)
 {
@@ -49,7 +49,7 @@ static inline void sparse_port_step(const real *memory, const Plan *plan, const 
         at[0] += re[p] - (d[0] * w.v_re[p] + d[1] * w.v_im[p]);
         at[1] += im[p] - (d[2] * w.v_re[p] + d[3] * w.v_im[p]);
     }
-    network_solve(memory, plan, s, v);
+    network_solve(memory, plan, s, lanes, v);
 }
 
 /* The machines' currents and what the ports inject there. */
@@ -66,12 +66,23 @@ static inline void sparse_port_machines(const real *memory, const Plan *plan, co
     }
 }
 
+/* The factors are those of another stage, without slopes, and so are all voltages before. */
+static inline void sparse_port_forget(double *memory, const Plan *plan)
+{
+    double *of = memory + plan->warm;
+
+    memory[H_FACTORS] += 1.0;
+    of[F_NUMBER] = memory[H_FACTORS];
+    of[F_READY] = 0.0;
+    for (size_t k = 0; k < 3; ++k) memory[plan->port_past + k] = INFINITY;
+}
+
 /* Doubles of work for sparse_port_solve. */
 static inline size_t sparse_port_work(const Plan *plan) { return 4 * plan->n_node + 4 * plan->n_port; }
 
 /* With PORT_EXACT the slopes in the factors are those at the solution. Node voltages v, port voltages and what goes with them into w, of machines' ports also injections into e. Starts
- * where the last solutions point to at memory[H_TIME]. Returns n_port, or the port farthest from a solution. */
-size_t sparse_port_solve(double *memory, const Plan *plan, const Pattern *pattern, PortCare care, const double *x,
+ * where the last solutions point to at memory[warm + F_TIME]. Returns n_port, or the port farthest from a solution. */
+size_t sparse_port_solve(double *memory, const Plan *plan, const Pattern *pattern, size_t lanes, PortCare care, const double *x,
                          const double *sine, const double *cosine, const double *base, double *e_re, double *e_im,
                          PortWork w, double *v, double *work);
 #endif

@@ -130,14 +130,12 @@ enum {  /* tie branch: buses of its measured and its other end, admittances seen
 enum {
     H_READY, H_OMEGA_B,
     H_TRIPPED,          /* machines and devices at buses that are tripped */
-    H_PORT_READY,       /* 1: port_b and port_z, or the factors, are good for this stage */
+    H_PORT_READY,       /* folded: 1: port_b and port_z are good for this stage */
     H_PORT_FOLDS,       /* how often slopes other than those at rest were wanted since those were last folded (port.h) */
     H_PATTERN,          /* sparse network: where its pattern begins in the record */
     H_PARTS, H_DEAD,    /* parts of the network with a machine; buses in parts without one */
-    H_TIME,             /* of the coming evaluation, s                  */
-    H_PORT_RATIO,       /* sparse: by how much a step with the slopes in the factors has brought the ports closer */
-    H_PORT_USED,        /* sparse: solutions with those slopes */
-    H_PORT_PATH,        /* sparse, few ports: rows of port_path         */
+    H_FACTORS,          /* sparse: how many factors with slopes have been made */
+    H_PORT_PATH,        /* sparse: rows of port_path                    */
     H_PLAN
 };
 
@@ -146,6 +144,10 @@ enum {
  * others are kept, s; times of the last three solutions, newest first, INFINITY: none; then port voltages of the newest
  * and what they hold beyond `b` of all three, 2 n_port each. */
 enum { W_TIME, W_RATIO, W_REST, W_WAIT, W_FIRST, W_SECOND, W_THIRD, W_V };
+/* The same where slopes are in the factors (sparse_port.h): that time; by how much a step has brought the ports closer;
+ * solutions with those slopes; 1: they are good for this stage; number of the factors with them, of H_FACTORS: where
+ * others are there, a step has been undone. Then slopes and voltages of the ports. */
+enum { F_TIME, F_RATIO, F_USED, F_READY, F_NUMBER, F_SLOPES };
 
 /* FMI parameters of a slot: Reals start, end, size, size_q, r, x, rise, those of a relay, frequency;
  * integers kind, target, wave, seed. */
@@ -203,7 +205,7 @@ typedef struct {
     size_t port;          /* P_ROWS for each port                                  */
     size_t port_w_re, port_w_im; /* dense, n_source x n_port: port voltages from sources */
     size_t port_own_re, port_own_im; /* n_port x n_port: from what the ports inject, the last columns of those */
-    size_t port_path;     /* sparse, few ports: rows between the ports and the last one, rising */
+    size_t port_path;     /* sparse: rows between the ports and the last one, rising */
     size_t port_rest;     /* folded: 2 n_port, voltages at rest                    */
     size_t delta_rest;    /* folded: n_machine, rotor angles at rest               */
     size_t port_slope;    /* 4 n_port: dJ/dV of the folded network                 */
@@ -212,7 +214,7 @@ typedef struct {
     size_t port_b;        /* folded, columns of 2 n_port: of the EMFs' real parts, then of their imaginary ones;
                              few: of the ports' voltages without what they inject  */
     size_t port_z;        /* folded: 2 n_port columns of 2 n_port, from what slopes leave */
-    size_t warm;          /* folded: W_V + 8 n_port, what evaluations change; the last of memory */
+    size_t warm;          /* what evaluations change: W_V + 8 n_port, or F_SLOPES and slopes; the last of memory */
     size_t port_v;        /* 2 n_port: port voltages as last solved                */
     size_t total;
 } Plan;
@@ -276,15 +278,21 @@ static inline void plan_offsets(Plan *p)
     at += p->few * ports * ports;
     p->port_own_im = dense ? p->port_w_im + ports * n : at;
     at += p->few * ports * ports;
-    p->port_path = at;     at += p->few * p->n_node;
+    p->port_path = at;     at += ports > 0 ? sparse * p->n_node : 0u;
     p->port_rest = at;     at += 2u * ports * p->folded;
     p->delta_rest = at;    at += n * p->folded;
-    p->port_slope = at;    at += 4u * ports;
-    p->port_fold = at;     at += ports > 0 ? 2u * ports * (1u - p->folded) : 0u;
-    p->port_past = at;     at += ports > 0 ? (3u + 4u * ports) * (1u - p->folded) : 0u;
+    p->port_slope = at;    at += 4u * ports * p->folded;
     p->port_b = at;        at += 4u * ports * (n * dense + ports * p->few);
     p->port_z = at;        at += 4u * ports * ports * p->folded;
-    p->warm = at;          at += W_V * p->folded;
+    p->warm = at;
+    if (p->folded > 0) {
+        at += W_V;
+    } else if (ports > 0) {
+        at += F_SLOPES;
+        p->port_slope = at;    at += 4u * ports;
+        p->port_fold = at;     at += 2u * ports;
+        p->port_past = at;     at += 3u + 4u * ports;
+    }
     p->port_v = at;        at += (2u + 6u * p->folded) * ports;
     p->total = at;
 }

@@ -132,8 +132,46 @@ def few_ports() -> Case:
 def test_few_ports_leave_the_factors_complex() -> None:
     none, few = (BlockShim(plant_block(c, network="sparse")) for c in (load_case("new-england"), few_ports()))
     assert len(few.memory) < 1.15 * len(none.memory)
-    many = few_ports().with_changes({"loads": {q.name: {"P_exponent": 1.0} for q in few_ports().loads}})
-    assert len(BlockShim(plant_block(many, network="sparse")).memory) > 1.3 * len(none.memory)
+    assert len(BlockShim(plant_block(many_ports(), network="sparse")).memory) > 1.3 * len(none.memory)
+
+
+def many_ports() -> Case:
+    """New England with loads of constant current, one of constant power and one saturating machine."""
+    return few_ports().with_changes(
+        {"loads": {q.name: {"P_exponent": 1.0} for k, q in enumerate(few_ports().loads) if k != 3}}
+    )
+
+
+@pytest.mark.parametrize("case", [load_case("new-england"), few_ports(), many_ports()])
+def test_four_numbers_in_one_operation_give_the_bits_of_one_at_a_time(case: Case) -> None:
+    """Factors and solutions, of complex entries and of blocks of 2 x 2."""
+    fault = {"kind": "bus_fault", "bus": 16, "start_s": 0.0, "end_s": 1.0, "x_pu": 0.05}
+    slots = event_parameters(case, events_of([fault], where="test"))
+    one, _ = plants = [BlockShim(plant_block(case, network="sparse"), slots) for _ in range(2)]
+    one._block.lanes = 0
+    x = one.x + 0.02 * np.random.default_rng(3).standard_normal(len(one.x))
+    results = []
+    for plant in plants:
+        plant.event(0.0, plant.x)
+        results.append(np.concatenate([*plant.derivatives(x), plant.memory]))
+    np.testing.assert_array_equal(results[1], results[0])
+
+
+def test_an_undone_step_leaves_the_bits_of_the_next_unchanged() -> None:
+    """Only the end of memory is restored; factors with other slopes are made again from the slopes in it."""
+    plant = BlockShim(plant_block(many_ports(), network="sparse"))
+    normal = np.random.default_rng(3).standard_normal(len(plant.x))
+    near, far = plant.x + 0.001 * normal, plant.x + 0.2 * normal
+    plant.derivatives(near)
+    whole, n_warm = plant.memory.copy(), plant.n_warm
+    assert 0 < n_warm < 0.2 * len(whole)
+    plant.derivatives(far)
+    assert np.any(plant.memory[: len(whole) - n_warm] != whole[: len(whole) - n_warm])  # other factors
+    plant.memory[len(whole) - n_warm :] = whole[len(whole) - n_warm :]
+    undone = plant.derivatives(near + 1e-4)
+    plant.memory[:] = whole
+    for one, other in zip(plant.derivatives(near + 1e-4), undone, strict=True):
+        np.testing.assert_array_equal(other, one)
 
 
 @pytest.mark.parametrize("machine", [None, "other", "saturating"])
