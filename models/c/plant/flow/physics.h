@@ -39,7 +39,7 @@ size_t plant_device_slopes(double *memory, const int32_t *places, const BlockLay
 
 static inline size_t flow_work(const Plan *plan)
 {
-    const size_t ports = plan->folded == 0 ? 10 : 20 + 8 * plan->n_port;
+    const size_t ports = plan->folded == 0 ? 16 : 26 + 8 * plan->n_port;
     const size_t nodes = is_sparse(plan) && plan->n_port > 0 ? 8 : 2;
     return 24 * plan->n_place + nodes * plan->n_node + ports * plan->n_port;
 }

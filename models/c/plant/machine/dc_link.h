@@ -17,48 +17,73 @@
  *     rectifier   a = a_i + g (i - order)
  *     inverter    a = a_i + g (w/vref - 1 + m),   w = c u cos(a) - r i,   m = P_MARGIN_GAIN max(P_MARGIN order - i, 0)
  *
- * within P_ANGLE_MIN .. P_ANGLE_MAX; a_i, i and order are states. w holds a: Halley's method from a + b, which is not below
- * the solution of a + b (cos(g) - 1) there, b = g c u/vref, and the limits act on its solution. */
+ * within P_ANGLE_MIN .. P_ANGLE_MAX; a_i, i and order are states. w holds a: Halley's method from the angle of the last
+ * solution (port.h), or from a_i + g m, that where w is at vref: starts whose sines need no voltage. The limits act on
+ * the solution. */
 
 /* A link that is blocked carries no current at its ends, its control stands still, and its dc current dies away with
  * DC_BLOCK_S, the time in which a rectifier beyond 90 deg takes it down. */
 static const double DC_BLOCK_S = 0.01;
 static const double DC_COSINE_MIN = -0.99, DC_COSINE_MAX = 0.9999;
-/* A step d of Halley's method leaves an error of .42 b d^3 at most, and what is left out of the cosine is d^4/24. */
-static const double DC_SETTLED = 1e-14, DC_NEAR = 1e-4;
+/* A step d of Halley's method leaves an error of .42 b d^3 at most. Up to DC_NEAR what dc_link_turn
+ * leaves out is below d^5/120 = 3e-16. */
+static const double DC_SETTLED = 1e-14, DC_NEAR = 0.002;
 enum { DC_STEPS = 6 };   /* at most; with b up to 1 the fourth is below rounding */
+
+/* What an end keeps while its network is solved. Of the rectifier the cosine within its limits, of the inverter the
+ * solution: the same at another voltage, or near it. Then v and the slope of v at the ac voltage DC_AT. */
+enum { DC_ANGLE, DC_SINE, DC_COSINE, DC_AT, DC_VOLTS, DC_RATE, DC_KEPT };
+
+/* What is kept already: nothing; an angle near the solution, INFINITY: none; or all of it, at another voltage. */
+typedef enum { DC_NOTHING, DC_START, DC_ALL } DcKnown;
 
 static inline int dc_link_is_inverter(const real *row) { return index_at(row, P_COUPLING) == COUPLING_INVERTER; }
 
-/* The rectifier's delay angle before its limits: current i, order and a_i. */
-static inline num dc_link_delay(const real *row, num i, num order, num angle) { return angle + row[P_GAIN] * (i - order); }
+/* The angle in `kept` goes d further where `open`, its sine and cosine with it. */
+static inline void dc_link_turn(num d, flag open, num *kept)
+{
+    const num q = d * d, sine = kept[DC_SINE], cosine = kept[DC_COSINE];
+    const flag far = open & flag_not(num_reaches(NUM(DC_NEAR * DC_NEAR), q));
+    const num s = 0.5 * sine + d * (cosine * (1.0 / 6)) - q * (sine * (1.0 / 24));
+    const num c = 0.5 * cosine - d * (sine * (1.0 / 6)) - q * (cosine * (1.0 / 24));
 
-/* The extinction angle before its limits, and its cosine: current i, order and a_i; u not below P_LOW. start: an angle near it, or
- * null. */
-static inline num dc_link_extinction(const real *row, num i, num order, num angle, num u, const num *start, num *cosine)
+    kept[DC_ANGLE] = num_pick(open, kept[DC_ANGLE] + d, kept[DC_ANGLE]);
+    kept[DC_SINE] = num_pick(open, (sine + d * cosine) - q * s, sine);
+    kept[DC_COSINE] = num_pick(open, (cosine - d * sine) - q * c, cosine);
+    if (flag_any(far)) {
+        num far_sine, far_cosine;
+        num_sincos(kept[DC_ANGLE], &far_sine, &far_cosine);
+        kept[DC_SINE] = num_pick(far, far_sine, kept[DC_SINE]);
+        kept[DC_COSINE] = num_pick(far, far_cosine, kept[DC_COSINE]);
+    }
+}
+
+/* Into `kept` the extinction angle before its limits: current i, order and a_i; u not below P_LOW. Returns b. */
+static inline num dc_link_extinction(const real *row, num i, num order, num angle, num u, DcKnown known, num *kept)
 {
     const num low = NUM(0.0), behind = row[P_MARGIN] * order - i;
     const num m = row[P_MARGIN_GAIN] * num_pick(num_above(behind, low), behind, low);
     const num per = num_ratio(NUM(row[P_GAIN]), NUM(row[P_VREF]));
-    const num a = angle + row[P_GAIN] * (m - 1.0) - per * (row[P_DROP] * i), b = per * (row[P_NO_LOAD] * u);
-    num g = start != NULL ? *start : num_clamp(a + b, row[P_ANGLE_MIN], row[P_ANGLE_MAX]);
-    flag open = num_reaches(low, low);
+    const num a = angle + row[P_GAIN] * (m - 1.0) - per * (row[P_DROP] * i), b = per * row[P_NO_LOAD] * u;
+    flag open = flag_all();
 
-    *cosine = low;
+    if (known != DC_ALL) {
+        num start = angle + row[P_GAIN] * m;
+        if (known == DC_START) start = num_pick(num_above(NUM(INFINITY), kept[DC_ANGLE]), kept[DC_ANGLE], start);
+        kept[DC_ANGLE] = num_clamp(start, row[P_ANGLE_MIN], row[P_ANGLE_MAX]);
+        num_sincos(kept[DC_ANGLE], &kept[DC_SINE], &kept[DC_COSINE]);
+    }
     for (int k = 0; k < DC_STEPS; ++k) {
-        num sine, at;
-        num_sincos(g, &sine, &at);
-        const num off = g - a - b * at, slope = 1.0 + b * sine;
-        const num d = num_ratio(2.0 * off * slope, 2.0 * slope * slope - off * (b * at));
-        g = num_pick(open, g - d, g);
-        *cosine = num_pick(open, at + d * (sine - d * (0.5 * at + d * (1.0 / 6.0) * sine)), *cosine);
+        const num bent = b * kept[DC_COSINE], off = kept[DC_ANGLE] - a - bent, slope = 1.0 + b * kept[DC_SINE];
+        const num d = num_ratio(2.0 * off * slope, off * bent - 2.0 * slope * slope);
+        dc_link_turn(d, open, kept);
 #ifndef PLANT_TANGENT   /* whose slopes settle a step later */
         const num size = num_pick(num_above(low, d), -d, d);
-        open = open & flag_not(num_reaches(NUM(DC_NEAR), size) & num_reaches(NUM(DC_SETTLED), b * size * size * size));
+        open = open & flag_not(num_reaches(NUM(DC_SETTLED), b * size * size * size));
         if (!flag_any(open)) break;
 #endif
     }
-    return g;
+    return b;
 }
 
 static inline num dc_link_floor(const real *row, num v)
@@ -67,55 +92,74 @@ static inline num dc_link_floor(const real *row, num v)
     return num_pick(num_above(v, low), v, low);
 }
 
-/* cos(phi) from the cosine of an angle within its limits. */
-static inline num dc_link_cosine(const real *row, num i, num cosine, num u)
+/* The cosine of an angle within its limits, from the states; turn: u times its slope by u. */
+static inline num dc_link_cosine(const real *row, num i, num order, num angle, num u, DcKnown known, num *kept,
+                                 num *turn)
 {
-    cosine = cosine - num_ratio(row[P_DROP] * i, row[P_NO_LOAD] * u);
-    cosine = num_pick(num_above(NUM(DC_COSINE_MIN), cosine), NUM(DC_COSINE_MIN), cosine);
-    return num_pick(num_above(cosine, NUM(DC_COSINE_MAX)), NUM(DC_COSINE_MAX), cosine);
-}
-
-/* cos(phi). What serves again at another u is kept: the inverter's angle, from which it starts, or the cosine of the rectifier's,
- * which does not depend on u. start: null, or what was kept. */
-static inline num dc_link_phi(const real *row, const num *x, num u, const num *start, num *kept)
-{
-    const num i = x[index_at(row, P_STATE)], order = x[index_at(row, P_ORDER)], angle = x[index_at(row, P_STATE_Q)];
     const real least = row[P_ANGLE_MIN], most = row[P_ANGLE_MAX];
-    num sine, cosine;
 
-    if (dc_link_is_inverter(row)) {
-        *kept = dc_link_extinction(row, i, order, angle, u, start, &cosine);
-        const flag beyond = num_above(*kept, NUM(most)) | num_above(NUM(least), *kept);
-        if (flag_any(beyond)) {
-            num limited;
-            num_sincos(num_clamp(*kept, least, most), &sine, &limited);
-            cosine = num_pick(beyond, limited, cosine);
-        }
-    } else {
-        if (start == NULL) num_sincos(num_clamp(dc_link_delay(row, i, order, angle), least, most), &sine, &cosine);
-        else cosine = *start;
-        *kept = cosine;
+    *turn = NUM(0.0);
+    if (!dc_link_is_inverter(row)) {
+        if (known != DC_ALL)
+            num_sincos(num_clamp(angle + row[P_GAIN] * (i - order), least, most), &kept[DC_SINE], &kept[DC_COSINE]);
+        return kept[DC_COSINE];
     }
-    return dc_link_cosine(row, i, cosine, u);
+    const num b = dc_link_extinction(row, i, order, angle, u, known, kept), part = b * kept[DC_SINE];
+    const flag beyond = num_above(kept[DC_ANGLE], NUM(most)) | num_above(NUM(least), kept[DC_ANGLE]);
+    *turn = -num_ratio(part * kept[DC_COSINE], 1.0 + part);
+    if (!flag_any(beyond)) return kept[DC_COSINE];
+    num sine, cosine;
+    num_sincos(num_clamp(kept[DC_ANGLE], least, most), &sine, &cosine);
+    *turn = num_pick(beyond, NUM(0.0), *turn);
+    return num_pick(beyond, cosine, kept[DC_COSINE]);
 }
 
-/* Current into the network along and across V. */
-static inline void dc_link_current(const real *row, const num *x, num v, num *along, num *across, num *kept)
+static inline num dc_link_bound(num a)
 {
-    const num cosine = dc_link_phi(row, x, dc_link_floor(row, v), NULL, kept), size = row[P_SCALE] * x[index_at(row, P_STATE)];
-    *along = dc_link_is_inverter(row) ? size * cosine : -(size * cosine);
-    *across = size * num_sqrt(1.0 - cosine * cosine);
+    a = num_pick(num_above(NUM(DC_COSINE_MIN), a), NUM(DC_COSINE_MIN), a);
+    return num_pick(num_above(a, NUM(DC_COSINE_MAX)), NUM(DC_COSINE_MAX), a);
 }
 
-/* The dc voltage of this end. start: what dc_link_current kept at a voltage near v. */
-static inline num dc_link_voltage(const real *row, const num *x, num v, const num *start)
+/* cos(phi) from the cosine of the angle and u times its slope, which becomes that of cos(phi); per: 1/u. */
+static inline num dc_link_phi(const real *row, num i, num v, num per, num cosine, num *turn)
 {
-    const num u = dc_link_floor(row, v);
-    num kept;
-#ifdef PLANT_TANGENT   /* whose slopes are those at v */
-    start = NULL;
+    const num drop = num_ratio(row[P_DROP] * i, NUM(row[P_NO_LOAD])) * per, raw = cosine - drop;
+    const num phi = dc_link_bound(raw);
+    const flag free = num_above(v, NUM(row[P_LOW])) & num_reaches(raw, phi) & num_reaches(phi, raw);
+    *turn = num_pick(free, drop + *turn, NUM(0.0));
+    return phi;
+}
+
+/* Current into the network along and across V; what it keeps changes where `open`. per: 1/u. */
+static inline void dc_link_current(const real *row, const num *x, num v, num per, DcKnown known, flag open, num *along,
+                                   num *across, num *kept)
+{
+    const num i = x[index_at(row, P_STATE)], size = row[P_SCALE] * i, no_load = NUM(row[P_NO_LOAD]);
+    num turn;
+#ifdef PLANT_LANES   /* one alone does not go on where it has ended */
+    num now[DC_KEPT];
+    for (size_t k = 0; k < DC_KEPT; ++k) now[k] = known == DC_NOTHING ? NUM(0.0) : kept[k];
+#else
+    num *now = kept;
+    (void)open;
 #endif
-    return row[P_NO_LOAD] * num_ratio(v * v, u) * dc_link_phi(row, x, u, start, &kept);
+    const num cosine = dc_link_cosine(row, i, x[index_at(row, P_ORDER)], x[index_at(row, P_STATE_Q)],
+                                      dc_link_floor(row, v), known, now, &turn);
+    const num phi = dc_link_phi(row, i, v, per, cosine, &turn), part = v * per;
+    now[DC_AT] = v;
+    now[DC_VOLTS] = no_load * (v * part) * phi;
+    now[DC_RATE] = no_load * (num_pick(num_above(v, NUM(row[P_LOW])), NUM(1.0), 2.0 * part) * phi + turn);
+#ifdef PLANT_LANES
+    for (size_t k = 0; k < DC_KEPT; ++k) kept[k] = num_pick(open, now[k], kept[k]);
+#endif
+    *along = dc_link_is_inverter(row) ? size * phi : -(size * phi);
+    *across = size * num_sqrt(1.0 - phi * phi);
+}
+
+/* The dc voltage of this end at v: kept at one so near that the square of their distance is below rounding. */
+static inline num dc_link_voltage(num v, const num *kept)
+{
+    return kept[DC_VOLTS] + kept[DC_RATE] * (v - kept[DC_AT]);
 }
 
 #if !defined PLANT_TANGENT && !defined PLANT_LANES
@@ -125,26 +169,17 @@ typedef struct { double along, across; } DcEnd;
 static inline void dc_link_slope(const double *row, const double *x, size_t stride, double v, DcEnd *end, double *along,
                                  double *across)
 {
-    const double u = v > row[P_LOW] ? v : row[P_LOW], b = row[P_GAIN] * row[P_NO_LOAD] * u / row[P_VREF];
-    const double i = x == NULL ? row[P_REST_Q] : x[stride * index_at(row, P_STATE)];
-    const double order = x == NULL ? 0.0 : x[stride * index_at(row, P_ORDER)], base = x == NULL ? 0.0 : x[stride * index_at(row, P_STATE_Q)];
-    double ignored;
-    const double free = x == NULL ? row[P_REST]
-                        : dc_link_is_inverter(row) ? dc_link_extinction(row, i, order, base, u, NULL, &ignored)
-                                                   : dc_link_delay(row, i, order, base);
-    const double angle = num_clamp(free, row[P_ANGLE_MIN], row[P_ANGLE_MAX]), drop = row[P_DROP] * i / (row[P_NO_LOAD] * u);
+    const double u = dc_link_floor(row, v), i = x == NULL ? row[P_REST_Q] : x[stride * index_at(row, P_STATE)];
+    const double order = x == NULL ? i : x[stride * index_at(row, P_ORDER)];
+    const double angle = x == NULL ? row[P_REST] : x[stride * index_at(row, P_STATE_Q)];
     const double size = row[P_SCALE] * i, sign = dc_link_is_inverter(row) ? 1.0 : -1.0;
-    double sine, cosine, turns = 0.0;
+    double kept[DC_KEPT], turn;
+    const double cosine = dc_link_cosine(row, i, order, angle, u, DC_NOTHING, kept, &turn);
+    const double phi = dc_link_phi(row, i, v, 1.0 / u, cosine, &turn), other = sqrt(1.0 - phi * phi);
 
-    num_sincos(angle, &sine, &cosine);
-    if (dc_link_is_inverter(row) && angle == free) turns = b / u * cosine / (1.0 + b * sine);
-    double slope = v > row[P_LOW] ? drop / u - sine * turns : 0.0;
-    const double raw = cosine - drop, phi = dc_link_cosine(row, i, cosine, u);
-    if (raw != phi) slope = 0.0;
-    const double other = sqrt(1.0 - phi * phi);
     *end = (DcEnd){ sign * size * phi, size * other };
-    *along = sign * size * slope;
-    *across = -size * phi * slope / other;
+    *along = sign * size * turn / u;
+    *across = -size * phi * turn / (u * other);
 }
 #endif
 #endif

@@ -28,17 +28,17 @@
  * Many ports on a sparse network are sparse_port.h's. Tangents take one exact Newton step (tangent.c). */
 
 /* What the physics needs at the ports besides sources: air-gap or bus voltages,
- * and at a machine's port its isd, isq; isd at the end of a dc link: what it keeps. n_port each, one after the other. */
-typedef struct { num *v_re, *v_im, *isd, *isq; } PortWork;
+ * at a machine's port its isd, isq, at the end of a dc link what it keeps. n_port each, one after the other. */
+typedef struct { num *v_re, *v_im, *isd, *isq, *kept; } PortWork;
 
 static inline PortWork port_arrays(num *scratch, size_t n)
 {
-    return (PortWork){ scratch, scratch + n, scratch + 2 * n, scratch + 3 * n };
+    return (PortWork){ scratch, scratch + n, scratch + 2 * n, scratch + 3 * n, scratch + 4 * n };
 }
 
-/* Injected current of the ports from `first` on into the sources at n_machine.. */
-static inline void port_inject(const real *memory, const Plan *plan, size_t first, const num *x, const num *sine,
-                               const num *cosine, PortWork w, num *e_re, num *e_im)
+/* Injected current of the ports from `first` on into the sources at n_machine.. known, open: of a dc link (dc_link.h). */
+static inline void port_inject(const real *memory, const Plan *plan, size_t first, DcKnown known, flag open,
+                               const num *x, const num *sine, const num *cosine, PortWork w, num *e_re, num *e_im)
 {
     const size_t n = plan->n_machine;
     const num *ed2 = machine_states(x, n, plan->n_sixth).ed2;
@@ -50,7 +50,8 @@ static inline void port_inject(const real *memory, const Plan *plan, size_t firs
             load_injection(row, w.v_re[p], w.v_im[p], re, im);
         } else if (port_is_device(row)) {
             const size_t k = n + index_at(row, P_DEVICE);
-            bus_device_injection(row, x, sine[k], cosine[k], w.v_re[p], w.v_im[p], re, im, &w.isd[p]);
+            bus_device_injection(row, x, sine[k], cosine[k], w.v_re[p], w.v_im[p], re, im, known, open,
+                                 w.kept + DC_KEPT * p);
         } else {
             const size_t k = index_at(row, P_DEVICE);
             const flag on = num_above(NUM(row[P_ON]), NUM(0.5));   /* a tripped machine gives nothing */
@@ -91,27 +92,25 @@ typedef enum { PORT_STEP, PORT_ALONE, PORT_EXACT } PortCare;
 
 /* Work arrays: those of PortWork, and numbers of port_solve for each port besides
  * its 2 x (2 n_port)^2 for an inverse and its columns. */
-enum { PORT_ARRAYS = 4, PORT_NEWTON = 12 };
+enum { PORT_ARRAYS = 4 + DC_KEPT, PORT_NEWTON = 12 };
 
 #if !defined PLANT_TANGENT
 static inline num num_size(num a) { return num_pick(num_above(NUM(0.0), a), -a, a); }
 static inline num num_larger(num a, num b) { return num_pick(num_above(b, a), b, a); }
 
-/* b from the EMFs, or of few ports from their voltages without what they inject. work: 4 n_port. */
+/* b from the EMFs, or of few ports from their voltages without what they inject. work: 2 n_port. */
 static inline void port_given(const real *memory, const Plan *plan, size_t lanes, const num *e_re, const num *e_im,
                               const num *linear, num *b, num *work)
 {
     const size_t n = 2 * plan->n_port, m = plan->n_machine;
     const real *from = memory + plan->port_b;
-    num *zero = work, *part = work + n;
 
-    for (size_t p = 0; p < n; ++p) zero[p] = NUM(0.0);
     if (linear != NULL) {
-        TILED(num_product, lanes, n, zero, from, n, n, linear, b);
+        TILED(num_product, lanes, n, NULL, from, n, n, linear, b);
         return;
     }
-    TILED(num_product, lanes, n, zero, from, n, m, e_re, part);
-    TILED(num_product, lanes, n, part, from + n * m, n, m, e_im, b);
+    TILED(num_product, lanes, n, NULL, from, n, m, e_re, work);
+    TILED(num_product, lanes, n, work, from + n * m, n, m, e_im, b);
 }
 
 static const double PORT_SAME_S = 1e-9;   /* times so close are one */
@@ -163,6 +162,19 @@ static inline void port_keep(num *warm, size_t n, flag keep, const num *b, const
     }
 }
 
+/* Angles of the inverters of dc links in the last solution, to start from; `keep` stores those of this one. */
+static inline void port_angles(const real *memory, const Plan *plan, num *warm, const flag *keep, num *kept)
+{
+    num *last = warm + W_V + 8 * plan->n_port;
+
+    for (size_t p = 0; plan->n_at_bus > 0 && p < plan->n_port; ++p, kept += DC_KEPT) {
+        const real *row = memory + plan->port + P_ROWS * p;
+        if (!port_is_device(row) || index_at(row, P_COUPLING) != COUPLING_INVERTER) continue;
+        if (keep == NULL) kept[DC_ANGLE] = last[p];
+        else last[p] = num_pick(*keep, kept[DC_ANGLE], last[p]);
+    }
+}
+
 /* Fills the injected currents e[n_machine..] and w from b. True where that failed and port.c must help; the memory of
  * what was is changed only where `keep` says so. Steps go on until the next would move less than is asked for: how
  * much closer one brings is known from the solution before, so that a good start needs one. work: 4 n_port. */
@@ -183,20 +195,25 @@ static inline flag port_iterate(const real *memory, const Plan *plan, size_t lan
         rest[p] = NUM(0.0);
     }
     port_predict(warm, 2 * n, keep, b, v);
+    port_angles(memory, plan, warm, NULL, w.kept);
     for (int count = 1; count <= MOST && flag_any(open); ++count) {
         num moved = NUM(0.0);
-        port_inject(memory, plan, 0, x, sine, cosine, w, e_re, e_im);
+        port_inject(memory, plan, 0, count > 1 ? DC_ALL : DC_START, open, x, sine, cosine, w, e_re, e_im);
         for (size_t p = 0; p < n; ++p) {
             const real *d = slope + 4 * p;
             rest[p] = num_pick(open, e_re[m + p] - (d[0] * v[p] + d[1] * v[n + p]), rest[p]);
             rest[n + p] = num_pick(open, e_im[m + p] - (d[2] * v[p] + d[3] * v[n + p]), rest[n + p]);
         }
         TILED(num_product, lanes, 2 * n, b, memory + plan->port_z, 2 * n, 2 * n, rest, next);
-        for (size_t p = 0; p < 2 * n; ++p) {
-            const num off = num_size(next[p] - v[p]);
-            moved = num_pick(num_reaches(moved, off), moved, off);   /* NaN as well */
+        num across = NUM(0.0);   /* of the imaginary parts: a second sum need not wait for the first */
+        for (size_t p = 0; p < n; ++p) {
+            const num off = num_size(next[p] - v[p]), other = num_size(next[n + p] - v[n + p]);
+            moved = num_pick(num_above(moved, off), moved, off);   /* NaN as well */
+            across = num_pick(num_above(across, other), across, other);
             v[p] = num_pick(open, next[p], v[p]);
+            v[n + p] = num_pick(open, next[n + p], v[n + p]);
         }
+        moved = num_pick(num_above(moved, across), moved, across);
         const num ratio = num_ratio(moved, before);
         const flag quiet = num_reaches(rounding * scale, moved), first = num_above(NUM(1.5), NUM((double)count));
         const flag contracts = num_above(NUM(slow_from), ratio) | first | quiet;
@@ -217,9 +234,10 @@ static inline flag port_iterate(const real *memory, const Plan *plan, size_t lan
         e_re[m + p] = rest[p] + (d[0] * v[p] + d[1] * v[n + p]);
         e_im[m + p] = rest[n + p] + (d[2] * v[p] + d[3] * v[n + p]);
     }
-    port_inject(memory, plan, ports_at_buses(memory, plan), x, sine, cosine, w, e_re, e_im);
+    port_inject(memory, plan, ports_at_buses(memory, plan), DC_NOTHING, flag_all(), x, sine, cosine, w, e_re, e_im);
     keep = keep & flag_not(failed);
     port_keep(warm, 2 * n, keep, b, v);
+    port_angles(memory, plan, warm, &keep, w.kept);
     warm[W_RATIO] = num_pick(keep, known, warm[W_RATIO]);
     return failed;
 }

@@ -1,13 +1,18 @@
 #ifndef INTERAREA_PRODUCTS_H
 #define INTERAREA_PRODUCTS_H
 #include "scalar.h"
-/* Products with matrices whose columns lie one after the other, `rows` numbers each. Every sum adds its columns in
- * order, so that one row at a time, tiles of rows (flow/tiles.h) and several scenarios give the same bits. What they
- * read and what they write lies apart. */
+/* Products with matrices whose columns lie one after the other, `rows` numbers each. Every sum begins with `from`, null:
+ * 0, and adds its columns in order, so that one row at a time, tiles of rows (flow/tiles.h) and several scenarios give
+ * the same bits. What they read and what they write lies apart. */
 
 #ifdef PLANT_TILE
+typedef double pair __attribute__((vector_size(16)));
+
+static inline num num_from(const double *from, size_t k) { return from == NULL ? NUM(0.0) : num_at(from + k); }
+
 /* Sums stay in registers, of four tiles, or of two complex ones, at a time: an addition need not wait for the one
- * before. At least as many rows as a tile is wide. */
+ * before. At least as many rows as a tile is wide. Two that are left are a pair: a tile that went back over rows already
+ * written would hold up whoever reads them next as tiles. */
 static inline void num_product(const double *from, const double *M, size_t rows, size_t columns, const double *s,
                                double *to)
 {
@@ -16,8 +21,8 @@ static inline void num_product(const double *from, const double *M, size_t rows,
 
     for (; i + 4 * WIDE <= rows; i += 4 * WIDE) {
         const double *m = M + i;
-        num a = num_at(from + i), b = num_at(from + i + WIDE);
-        num c = num_at(from + i + 2 * WIDE), d = num_at(from + i + 3 * WIDE);
+        num a = num_from(from, i), b = num_from(from, i + WIDE);
+        num c = num_from(from, i + 2 * WIDE), d = num_from(from, i + 3 * WIDE);
         for (size_t k = 0; k < columns; ++k, m += rows) {
             a += num_at(m) * s[k];
             b += num_at(m + WIDE) * s[k];
@@ -29,12 +34,26 @@ static inline void num_product(const double *from, const double *M, size_t rows,
         put_at(to + i + 2 * WIDE, c);
         put_at(to + i + 3 * WIDE, d);
     }
-    for (size_t left = i; left < rows; left += WIDE) {
-        const size_t at = left + WIDE > rows ? rows - WIDE : left;
-        const double *m = M + at;
-        num a = num_at(from + at);
+    for (; i + WIDE <= rows; i += WIDE) {
+        const double *m = M + i;
+        num a = num_from(from, i);
         for (size_t k = 0; k < columns; ++k, m += rows) a += num_at(m) * s[k];
-        put_at(to + at, a);
+        put_at(to + i, a);
+    }
+    if (i + 2 == rows) {
+        const double *m = M + i;
+        pair a = { 0.0, 0.0 }, of;
+        if (from != NULL) memcpy(&a, from + i, sizeof a);
+        for (size_t k = 0; k < columns; ++k, m += rows) {
+            memcpy(&of, m, sizeof of);
+            a += of * s[k];
+        }
+        memcpy(to + i, &a, sizeof a);
+    } else if (i < rows) {
+        const double *m = M + rows - WIDE;
+        num a = num_from(from, rows - WIDE);
+        for (size_t k = 0; k < columns; ++k, m += rows) a += num_at(m) * s[k];
+        put_at(to + rows - WIDE, a);
     }
 }
 
@@ -103,7 +122,7 @@ static inline void product_rows(size_t count, const num *from, const real *M, si
 {
     num sum[PRODUCT_ROWS];
 
-    for (size_t i = 0; i < count; ++i) sum[i] = from[i];
+    for (size_t i = 0; i < count; ++i) sum[i] = from == NULL ? NUM(0.0) : from[i];
     for (size_t k = 0; k < columns; ++k, M += rows)
         for (size_t i = 0; i < count; ++i) sum[i] += M[i] * s[k];
     for (size_t i = 0; i < count; ++i) to[i] = sum[i];
@@ -115,9 +134,9 @@ static inline void num_product(const num *from, const real *M, size_t rows, size
     size_t i = 0;
 
     for (; i + PRODUCT_ROWS <= rows; i += PRODUCT_ROWS)
-        product_rows(PRODUCT_ROWS, from + i, M + i, rows, columns, s, to + i);
-    for (; i + 2 <= rows; i += 2) product_rows(2, from + i, M + i, rows, columns, s, to + i);
-    for (; i < rows; ++i) product_rows(1, from + i, M + i, rows, columns, s, to + i);
+        product_rows(PRODUCT_ROWS, from == NULL ? NULL : from + i, M + i, rows, columns, s, to + i);
+    for (; i + 2 <= rows; i += 2) product_rows(2, from == NULL ? NULL : from + i, M + i, rows, columns, s, to + i);
+    for (; i < rows; ++i) product_rows(1, from == NULL ? NULL : from + i, M + i, rows, columns, s, to + i);
 }
 
 static inline void product_complex_rows(size_t count, const real *g, const real *b, size_t rows, size_t columns,
@@ -153,7 +172,7 @@ static inline void num_product(const num *from, const real *M, size_t rows, size
 {
     size_t k = 0;
 
-    for (size_t i = 0; i < rows; ++i) to[i] = from[i];
+    for (size_t i = 0; i < rows; ++i) to[i] = from == NULL ? NUM(0.0) : from[i];
     for (; k + 4 <= columns; k += 4, M += 4 * rows) {
         const real *m1 = M + rows, *m2 = m1 + rows, *m3 = m2 + rows;
         const num s0 = s[k], s1 = s[k + 1], s2 = s[k + 2], s3 = s[k + 3];

@@ -190,6 +190,8 @@ typedef size_t where;
 #endif
 #define EACH(k, first, last) for (size_t k = (first); k < (last); k = next_of(k, last))
 
+static inline flag flag_all(void) { return num_reaches(NUM(0.0), NUM(0.0)); }
+
 static inline num num_clamp(num a, real low, real high)
 {
     return num_pick(num_above(NUM(low), a), NUM(low), num_pick(num_above(a, NUM(high)), NUM(high), a));
