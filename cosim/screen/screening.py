@@ -35,7 +35,7 @@ class Screening:
     outages : branches that are out before the disturbance, one at a time, besides the unchanged grid.
     controllers : besides none. longest_s : of the clearing times that are searched, to `tolerance_s`.
     step_s : communication step; None: 40 ms, with a controller the step that its loop needs. solver_step_s :
-        longest step of the plant; None: its own.
+        longest step of the plant; None: its own. step_reason : why that step, for the page.
 
     Raises SweepError for a solver step that no plant takes.
     """
@@ -50,6 +50,7 @@ class Screening:
     stop_s: float = 10.0
     step_s: float | None = None
     solver_step_s: float | None = None
+    step_reason: str = ""
     longest_s: float = 1.0
     tolerance_s: float = 0.005
 

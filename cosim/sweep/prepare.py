@@ -8,7 +8,7 @@ from pathlib import Path
 from interarea.fmu_build.errors import BuildError
 from interarea.fmu_build.write.compile import compile_binary, host_platform
 from interarea.fmu_build.write.lane_library import plant_group
-from interarea.models.blocks.plant import plant_block, plant_sources
+from interarea.models.blocks.plant import plant_sources
 
 from ..master.kernel.build import load_kernel
 from ..run.artefacts import channel_fmu, concentrator_fmu, detector_fmu, plant_fmu, pmu_fmu
@@ -37,8 +37,7 @@ def prepare(plan: SweepPlan, cache: Path) -> list[Path]:
     for grid in {plant_sources(case): case for case in cases.values()}.values():
         with suppress(BuildError):  # without it the plants go one by one
             files.append(plant_group(plant_sources(grid), cache=cache).path)
-        block = plant_block(grid)
-        files.append(compile_binary(block.kind, block.sources, host_platform(), cache=cache))
+        files.append(compile_binary("plant", plant_sources(grid), host_platform(), cache=cache))
     show, more = plan.sweep.show, plan.sweep.base.shows
     files += [plant_fmu(case, cache, show=show, more=more) for case in cases.values()]
     for key in plan.controllers:

@@ -154,7 +154,7 @@ static size_t solve_sparse(real *memory, const Plan *plan, const Pattern *patter
         return 0;
     }
     num *base = w->newton;
-    memcpy(base, w->v, 2 * plan->n_node * sizeof(num));
+    memcpy(base + 2 * plan->first, w->v + 2 * plan->first, 2 * (plan->n_node - plan->first) * sizeof(num));
     if (plan->few > 0) {
         const size_t alone = solve_few(memory, plan, pattern, x, base, w);
         if (alone == 0) sparse_port_machines(memory, plan, pattern, w->e_re, w->e_im, w->v, w->i_re, w->i_im);
@@ -381,7 +381,7 @@ size_t plant_voltages(double *memory, const int32_t *places, size_t lanes, const
 
     const size_t stuck = solve_network(memory, plan, &pattern, x, &w);
     if (stuck > 0) return stuck;
-    if (is_sparse(plan)) sparse_backward(memory, plan, &pattern, lanes, 0, plan->first, w.v);
+    if (is_sparse(plan)) network_complete(memory, plan, &pattern, lanes, w.v);
     for (size_t k = 0; k < plan->n_bus; ++k) {
         double re, im;
         network_voltage(memory, plan, &pattern, k, w.e_re, w.e_im, w.v, &re, &im);

@@ -77,7 +77,7 @@ static void show(const real *memory, const Plan *plan, const Pattern *pattern, s
         const size_t kind = index_at(kinds, k);
         everywhere |= kind == SHOW_TIE || kind == SHOW_BUS_V || (kind >= SHOW_LINE_P && kind <= SHOW_BUS_IM);
     }
-    if (everywhere && is_sparse(plan)) sparse_backward(memory, plan, pattern, w->lanes, 0, plan->first, w->v);
+    if (everywhere && is_sparse(plan)) network_complete(memory, plan, pattern, w->lanes, w->v);
     for (size_t k = first; k < last; ++k)
         to[k - first] = shown(memory, plan, pattern, index_at(kinds, k), index_at(of, k), x, w);
 }

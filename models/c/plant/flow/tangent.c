@@ -188,7 +188,7 @@ size_t plant_device_slopes(double *memory, const int32_t *places, const BlockLay
     for (size_t k = 0; k < layout->n_x; ++k) z[k] = with_slope(x[k], 0.0);
     stuck = solve_network(memory, plan, &pattern, z, &w);
     if (stuck > 0) return stuck;
-    if (is_sparse(plan)) sparse_backward(memory, plan, &pattern, 0, 0, plan->first, w.v);
+    if (is_sparse(plan)) network_complete(memory, plan, &pattern, 0, w.v);
     for (size_t k = 0; k < n; ++k)
         network_voltage(memory, plan, &pattern, index_at(memory + plan->machine_bus, k), w.e_re, w.e_im, w.v,
                         &volts[k], &volts[sources + k]);

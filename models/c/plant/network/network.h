@@ -22,14 +22,14 @@ static inline void network_norton(const real *memory, const Plan *plan, size_t k
     *b = -ratio * x / (r * r + x * x);
 }
 
-/* What the machines' EMFs send into a sparse network, into the rows of v; zero elsewhere. */
+/* What the machines' EMFs send into a sparse network, into the rows of v from plan->first on; zero elsewhere. */
 static inline void network_inject(const real *memory, const Plan *plan, const Pattern *pattern,
                                   const num *e_re, const num *e_im, num *v)
 {
     const size_t n = plan->n_machine;
     const real *g = memory + plan->norton, *b = g + n;
 
-    for (size_t k = 0; k < 2 * plan->n_node; ++k) v[k] = NUM(0.0);
+    for (size_t k = 2 * plan->first; k < 2 * plan->n_node; ++k) v[k] = NUM(0.0);
     for (size_t k = 0; k < n; ++k) {
         num *at = v + 2 * pattern->machine[k];
         at[0] += g[k] * e_re[k] - b[k] * e_im[k];
@@ -42,6 +42,13 @@ static inline void network_solve(const real *memory, const Plan *plan, const Pat
 {
     sparse_forward(memory, plan, pattern, lanes, plan->first, v);
     sparse_backward(memory, plan, pattern, lanes, plan->first, plan->n_node, v);
+}
+
+/* The voltages of the rows before plan->first, into which nothing is sent. */
+static inline void network_complete(const real *memory, const Plan *plan, const Pattern *pattern, size_t lanes, num *v)
+{
+    for (size_t k = 0; k < 2 * plan->first; ++k) v[k] = NUM(0.0);
+    sparse_backward(memory, plan, pattern, lanes, 0, plan->first, v);
 }
 
 /* Machine currents from the node voltages v. */

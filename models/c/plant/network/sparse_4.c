@@ -85,7 +85,7 @@ void sparse_forward_4(const double *memory, const Plan *plan, const Pattern *s, 
             put_two(v + 2 * k, (two){ d[0], d[0] } * b + (two){ -d[1], d[1] } * (two){ b[1], b[0] });
         } else {
             const two b = two_at(v + 2 * k) - whole_block(row_block(lower + 4 * from, s->lower_column + from, count, v));
-            put_two(v + 2 * k, (two){ d[0], d[2] } * b[0] + (two){ d[1], d[3] } * b[1]);
+            put_two(v + 2 * k, whole_block(four_at(d) * (four){ b[0], b[1], b[0], b[1] }));
         }
     }
 }

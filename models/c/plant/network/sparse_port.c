@@ -228,7 +228,7 @@ static int newton(const Problem *s, int free, size_t *port)
 /* As port.c: from the last voltages, those of the linear network, then low ones. */
 static int newton_from_many(const Problem *s, size_t *port)
 {
-    const size_t n = s->plan->n_port;
+    const size_t n = s->plan->n_port, from = 2 * s->plan->first;
 
     for (size_t tries = 0; tries < 8; ++tries) {
         const double share = tries % 4 < 2 ? 1.0 : tries % 4 == 2 ? 0.6 : 0.2;
@@ -236,7 +236,7 @@ static int newton_from_many(const Problem *s, size_t *port)
         if (tries % 4 > 0) {   /* without what the ports inject */
             for (size_t k = 0; k < 4 * n; ++k) s->memory[s->plan->port_slope + k] = 0.0;
             if (!factor(s)) return 0;
-            memcpy(s->v, s->base, 2 * s->plan->n_node * sizeof(double));
+            memcpy(s->v + from, s->base + from, (2 * s->plan->n_node - from) * sizeof(double));
             network_solve(s->memory, s->plan, s->pattern, s->lanes, s->v);
             take(s, 1.0);
         }

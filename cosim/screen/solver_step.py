@@ -1,0 +1,128 @@
+"""The plant's step in a large screening: the longest that leaves the results as they are."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from interarea.models.blocks.plant import default_step_s
+from interarea.models.case.case import Case, load_case
+from interarea.models.grid.equilibrium import operating_point
+from interarea.models.grid.machine_tables import in_plant_order
+
+from ..scenario.scenario import load_scenario
+from ..sweep.front import Progress, run_sweep
+from ..sweep.parts import read_rows
+from .screening import PLACE, Screening
+
+STEPS = "steps"  #: folder of the sweeps that are compared
+FROM = 100  #: runs from which on the comparison costs less than it saves
+LONGER_S = (0.01, 0.005, 0.0025)  #: steps that are tried; the first leaves RK4 stable from lags of 4 ms on
+#: most by which a result may change, below the last digit that an engineer reads
+LARGEST = {"angle_deg": 0.1, "voltage_pu": 0.001, "nadir_hz": 0.001, "zenith_hz": 0.001}
+
+
+@dataclass(frozen=True)
+class StepChoice:
+    """A step of the plant and what it rests on.
+
+    step_s : longest step. own_s : that of the plant itself. places : where both were compared. changes : the
+        largest change of each result of `LARGEST` there, in its unit.
+    """
+
+    step_s: float
+    own_s: float
+    places: tuple[str, ...]
+    changes: dict[str, float]
+
+    def __str__(self) -> str:
+        where = ", ".join(self.places)
+        if not self.changes:
+            return (
+                f"solver step: the plant's own, {1000 * self.own_s:g} ms; no longer one left the results "
+                f"at {where} as they were"
+            )
+        angle, voltage, *frequency = (self.changes[key] for key in LARGEST)
+        return (
+            f"solver step: {1000 * self.step_s:g} ms; at {where} results differ from those at the plant's "
+            f"own {1000 * self.own_s:g} ms by at most {angle:.2g} deg, {voltage:.2g} pu and "
+            f"{max(frequency):.2g} Hz"
+        )
+
+
+def choose_step(
+    screening: Screening,
+    folder: Path,
+    *,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    cache: Path | None = None,
+    progress: Callable[[Progress], object] | None = None,
+) -> StepChoice | None:
+    """Compare steps at three places of a large screening; return the longest that is exact enough.
+
+    None where the screening prescribes its step, has fewer than `FROM` runs or a grid without longer steps.
+    Parameters and errors as of `run_screening`.
+    """
+    sweep = screening.sweep()
+    if screening.solver_step_s is not None or sweep.size < FROM:
+        return None
+    case = load_case(load_scenario({"case": screening.case, "stop_s": 1.0}).case_path)
+    own_s = _own_step_s(case)
+    longer = [step for step in LONGER_S if step > own_s]
+    if not longer:
+        return None
+    every = screening.places(case)
+    places = [every[k * len(every) // 6] for k in (1, 3, 5)]
+    kind = PLACE[screening.kind]
+    few = replace(screening, controllers=(), outages=())
+    few = replace(few, buses=tuple(places)) if kind == "bus" else replace(few, branches=tuple(places))
+    options: dict[str, Any] = {
+        "workers": workers,
+        "scheduler": scheduler,
+        "cache": cache,
+        "progress": progress,
+    }
+
+    def results(step_s: float) -> pd.DataFrame:
+        part = folder / STEPS / f"{1000 * step_s:g}_ms"
+        run_sweep(replace(few, solver_step_s=step_s).sweep(), part, **options)
+        return read_rows(part).set_index(kind)
+
+    names = tuple(f"{kind} {place}" for place in places)
+    exact = results(own_s)
+    for step in longer:
+        changes = changes_of(exact, results(step))
+        if changes is not None:
+            return StepChoice(step, own_s, names, changes)
+    return StepChoice(own_s, own_s, names, {})
+
+
+def _own_step_s(case: Case) -> float:
+    if case.solver_step_s is not None:
+        return case.solver_step_s
+    return default_step_s(operating_point(in_plant_order(case)))
+
+
+def changes_of(exact: pd.DataFrame, other: pd.DataFrame) -> dict[str, float] | None:
+    """Return the largest change of each result of `LARGEST`; None for a failed run, another verdict or more.
+
+    Rows of the same places, in any order. What a run shows after it has lost synchronism is not compared.
+    """
+    other = other.loc[exact.index]
+    if not (exact["status"].eq("ok").all() and other["status"].eq("ok").all()):
+        return None
+    if not (
+        exact["synchronous"].eq(other["synchronous"]).all() and exact["verdict"].eq(other["verdict"]).all()
+    ):
+        return None
+    kept = exact["synchronous"].astype(bool)
+    changes = {
+        key: float(np.max(np.abs((exact[key] - other[key])[kept].to_numpy()), initial=0.0)) for key in LARGEST
+    }
+    return changes if all(changes[key] <= LARGEST[key] for key in LARGEST) else None
