@@ -242,9 +242,72 @@ def test_the_command_prints_a_table_or_json_and_refuses_in_one_line(
 
 def test_poles_nearer_than_3_percent_are_one_only_with_one_shape() -> None:
     pole, one, other = -0.5 + 6.9j, np.array([1.0, -1.0, 0.1, 0.0j]), np.array([0.1, 0.0j, 1.0, -1.0])
-    entries = [(30, pole, one, 0.5), (30, 1.01 * pole, -1j * one, 0.2), (30, 1.027 * pole, other, 0.3)]
-    assert [entry[3] for entry in methods._apart(entries)] == [0.5, 0.3]
-    # the estimate of a mode again is that of its shape, though the other pole is nearer
+    rows = [(pole, one, 0.5), (1.01 * pole, -1j * one, 0.2), (1.027 * pole, other, 0.3)]
+    tracks = [[methods._Entry(30, *row)] for row in rows]
+    assert [track[0].share for track in methods._apart(tracks)] == [0.5, 0.3]
+    # by Yule-Walker a mode is the pole of its shape, though the other is nearer
     poles, shapes = np.array([pole, 1.027 * pole]), np.stack([one, other], axis=1)
     assert methods._nearest(poles, shapes, 1.02 * pole, one) == pole
     assert methods._nearest(poles, shapes, 1.02 * pole, other) == 1.027 * pole
+
+
+def test_half_an_interval_is_t_times_the_deviation_of_a_mean_of_blocks() -> None:
+    """Of one pole whose value is the mean of one number a block, the deviation is known in closed form."""
+    own = np.random.default_rng(7).normal(0.05, 0.01, 12)
+    sums, counts = own[:, None, None, None], np.ones(12)
+    covariances = methods._Covariances(sums, counts)
+
+    def pole_of(mean: np.ndarray) -> complex:
+        z = float(mean.item())
+        return 5.0 * complex(-z, np.sqrt(1.0 - z * z))
+
+    moved = [pole_of(R) for R in covariances.changed()]
+    estimate = methods._estimate("mean", pole_of(covariances.all()), moved)
+    low, high = estimate.damping_interval
+    assert estimate.damping_ratio == pytest.approx(own.mean())
+    assert 0.5 * (high - low) == pytest.approx(2.2010 * own.std(ddof=1) / np.sqrt(12), rel=1e-3)
+    assert np.ptp(estimate.frequency_interval_hz) < 1e-9
+
+
+def test_a_mode_is_the_mean_of_its_orders_whatever_the_phase_of_its_shapes() -> None:
+    shape = np.array([1.0, -0.5j, 0.2])
+    entries = [methods._Entry(6, -0.4 + 6.8j, shape, 0.3), methods._Entry(8, -0.6 + 7.0j, -2j * shape, 0.5)]
+    mean = methods._Entry.mean(entries)
+    assert (mean.order, mean.pole, mean.share) == (8, pytest.approx(-0.5 + 6.9j), pytest.approx(0.4))
+    assert methods.squared_cosine(mean.shape, shape) == pytest.approx(1.0)
+    assert np.linalg.norm(mean.shape) == pytest.approx(1.0)
+
+
+def test_yule_walker_finds_the_poles_of_exact_covariances() -> None:
+    """Two modes of three signals have rank 4: of the larger autoregression only their poles do not vanish."""
+    step_s, poles = 0.1, np.array([-0.11 + 3.42j, -0.5 + 6.9j])
+    shapes = np.array([[1.0, 0.3 + 0.2j, -0.5], [0.1, -1.0, 0.6j]])
+    lags = np.arange(60)[:, None, None]
+    R = sum(
+        np.real(np.exp(p * step_s * lags) * np.outer(v, w))
+        for p, v, w in zip(poles, shapes, shapes[:, ::-1].conj(), strict=True)
+    )
+    seen, vectors = methods._yule_walker(R, step_s)
+    for pole, shape in zip(poles, shapes, strict=True):
+        k = int(np.argmin(np.abs(seen - pole)))
+        assert seen[k] == pytest.approx(pole, rel=1e-6)
+        assert methods.squared_cosine(vectors[:, k], shape) == pytest.approx(1.0, abs=1e-6)
+
+
+@pytest.mark.slow
+def test_intervals_of_close_modes_are_as_wide_as_their_errors() -> None:
+    """Half an interval of 95 % is about two deviations."""
+    modes = list(ia.modes(CASE).values())
+    rows: dict[str, list[tuple[float, float]]] = {methods.SUBSPACE: [], methods.YULE_WALKER: []}
+    for seed in range(60):
+        for swing in meter(ambient(seed, 600.0), modes=modes).swings:
+            for e in swing.estimates if swing.mode.startswith("local") else ():
+                assert swing.mode_damping is not None
+                half = 0.5 * (e.damping_interval[1] - e.damping_interval[0])
+                rows[e.method].append((e.damping_ratio - swing.mode_damping, half))
+    for row in rows.values():
+        off, half = np.array(row).T
+        assert len(row) >= 75
+        assert abs(off.mean()) < 0.003
+        assert off.std() < 0.0105
+        assert 1.7 < np.median(half) / off.std() < 2.8
