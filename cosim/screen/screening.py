@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -22,6 +22,7 @@ from ..sweep.spec import Sweep, sweep_of
 START_S = 0.1  #: of the disturbance; before it the grid is at rest
 LONG_STEP_S = 0.04  #: between points at which a grid without controller is looked at
 FAULTS, CLEARING = "faults", "clearing"  #: folders of the two sweeps
+REPEATED = "_repeated"  #: after those names: folders of runs that failed and were repeated
 #: between the places of a run in the results
 PLACE = {"fault": "bus", "trip": "branch"}
 
@@ -35,7 +36,8 @@ class Screening:
     outages : branches that are out before the disturbance, one at a time, besides the unchanged grid.
     controllers : besides none. longest_s : of the clearing times that are searched, to `tolerance_s`.
     step_s : communication step; None: 40 ms, with a controller the step that its loop needs. solver_step_s :
-        longest step of the plant; None: its own. step_reason : why that step, for the page.
+        longest step of the plant; None: its own. step_reason : why that step, for the page. repeat_step_s :
+        step for repeating failed runs, where a chosen step is too long for some; None: no repetition.
 
     Raises SweepError for a solver step that no plant takes.
     """
@@ -51,6 +53,7 @@ class Screening:
     step_s: float | None = None
     solver_step_s: float | None = None
     step_reason: str = ""
+    repeat_step_s: float | None = None
     longest_s: float = 1.0
     tolerance_s: float = 0.005
 
@@ -182,12 +185,27 @@ def run_screening(
         "cache": cache,
         "progress": progress,
     }
-    run_sweep(screening.sweep(), folder / FAULTS, **options)
+    rows = _rows_of(screening, folder / FAULTS, options, clearing=False)
     critical: Mapping[tuple[str, str, str], float | None] = {}
     if clearing:
-        run_sweep(screening.sweep(clearing=True), folder / CLEARING, **options)
-        critical = _critical(read_rows(folder / CLEARING), screening)
-    return worst_first(read_rows(folder / FAULTS), screening, critical)
+        critical = _critical(_rows_of(screening, folder / CLEARING, options, clearing=True), screening)
+    return worst_first(rows, screening, critical)
+
+
+def _rows_of(
+    screening: Screening, folder: Path, options: Mapping[str, Any], *, clearing: bool
+) -> pd.DataFrame:
+    """Return the rows of a sweep, those of places with a failed run from runs with `repeat_step_s`."""
+    run_sweep(screening.sweep(clearing=clearing), folder, **options)
+    rows, kind = read_rows(folder), PLACE[screening.kind]
+    failed = tuple(dict.fromkeys(rows[kind][rows["status"] != "ok"].tolist()))
+    if screening.repeat_step_s is None or not failed:
+        return rows
+    again = replace(screening, solver_step_s=screening.repeat_step_s)
+    again = replace(again, buses=failed) if kind == "bus" else replace(again, branches=failed)
+    part = folder.with_name(folder.name + REPEATED)
+    run_sweep(again.sweep(clearing=clearing), part, **options)
+    return pd.concat([rows[~rows[kind].isin(failed)], read_rows(part)], ignore_index=True)
 
 
 def _key(row: Mapping[Any, Any], screening: Screening) -> tuple[str, str, str]:

@@ -290,7 +290,9 @@ def _with_step(screening: Screening, out: Path, *, tell: bool, **options: Any) -
         return screening
     if tell:
         typer.echo(str(choice))
-    return replace(screening, solver_step_s=choice.step_s, step_reason=str(choice))
+    return replace(
+        screening, solver_step_s=choice.step_s, step_reason=str(choice), repeat_step_s=choice.own_s
+    )
 
 
 def _none_ran(result: Sequence[Screened]) -> bool:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 import pytest
@@ -78,3 +80,13 @@ def test_a_prescribed_step_and_few_runs_are_left_alone(tmp_path: Path, cache: Pa
     for screening in (Screening("new-england"), Screening("new-england", solver_step_s=0.002)):
         assert choose_step(screening, tmp_path, cache=cache) is None
     assert not any(tmp_path.iterdir())
+
+
+def test_runs_that_fail_with_the_chosen_step_are_repeated(tmp_path: Path, cache: Path) -> None:
+    """With 10 ms a fault makes the thesis's grid grow without bound; with its own step it has a verdict."""
+    long = Screening("two-area-thesis", buses=(8, 5), stop_s=3.0, solver_step_s=0.01)
+    options: dict[str, Any] = {"workers": 1, "cache": cache}
+    assert {one.verdict for one in run_screening(long, tmp_path / "long", **options)} == {"failed"}
+    own = run_screening(replace(long, solver_step_s=0.001), tmp_path / "own", **options)
+    repeated = replace(long, repeat_step_s=0.001)
+    assert run_screening(repeated, tmp_path / "repeated", **options) == own
