@@ -348,7 +348,8 @@ def plain(value: Any) -> str:
     if isinstance(value, bool | np.bool_):
         return "yes" if value else "no"
     if isinstance(value, float | np.floating):
-        return f"{value:.4g}".replace("-", "−")
+        text = f"{value:.0f}" if 1e4 <= abs(float(value)) < 1e7 else f"{value:.4g}"
+        return text.replace("-", "−")
     return html.unescape(str(value))
 
 

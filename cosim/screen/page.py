@@ -81,6 +81,7 @@ def write_screening(
         groups.setdefault((one.place, one.outage), {})[one.controller] = one
     text = environment.get_template("screen.html.j2").render(
         screening=screening,
+        name=Path(screening.case).name,
         place=PLACE[screening.kind],
         controllers=controllers,
         counts={c: _counts(result, c) for c in controllers},

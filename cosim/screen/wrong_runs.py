@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from math import ceil
 from typing import Any, TypeAlias
 
 from interarea.design.controllers.bank import ControllerBank
@@ -23,8 +22,8 @@ from ..trajectory import Trajectory
 
 Judged: TypeAlias = Controller | ControllerBank
 START_S, WRONG_S, STOP_S = 1.0, 1.5, 20.0  #: disturbance; the signal is wrong from then on; end of the run
-AFTER_S = 30.0  #: after an isolation, of a run that does not decay: the last window is without the signal
 LONG_S = 60.0  #: end of a run that has not settled by `STOP_S`, and of those without control
+LONGEST_S = 120.0  #: the same where a signal was isolated: frequency and washouts settle slowly
 REMOTE_S, WITNESS_S = 0.1, 0.05  #: latency; a signal of an actuator's own machine comes at once
 REST, PULSE, FAULT, TRIP = DISTURBANCES = ("rest", "pulse", "bus fault", "tie trip")
 LEAST_SIGNALS = 4  #: that are compared: with the wrong one left out three agree
@@ -179,8 +178,8 @@ def to_the_end(
 ) -> Iterator[tuple[int, WrongRun, Outcome, Trajectory]]:
     """Yield place, run, verdict and results; a run that has not settled by `STOP_S` is run to `LONG_S`.
 
-    One that does not decay there, and of which a signal was isolated less than `AFTER_S` before, is run
-    until `AFTER_S` after that: what is judged is the loop without the signal.
+    One that does not decay there, and of which a signal was isolated, is run to `LONGEST_S`: what is judged
+    is the loop without the signal.
     """
     again: dict[int, WrongRun] = {}
     for k, (outcome, data) in enumerate(runs.judged(part, [None] * len(part))):
@@ -191,10 +190,9 @@ def to_the_end(
     late: dict[int, WrongRun] = {}
     longer = runs.judged(list(again.values()), [None] * len(again))
     for (k, run), (outcome, data) in zip(again.items(), longer, strict=True):
-        isolated_s = _last_isolation_s(run, data)
         swings = outcome.verdict is not None and outcome.verdict.name not in (*STABLE, LOST)
-        if swings and isolated_s > run.stop_s - AFTER_S:
-            late[k] = replace(run, stop_s=float(ceil(isolated_s + AFTER_S)))
+        if swings and _isolates(run, data):
+            late[k] = replace(run, stop_s=LONGEST_S)
         else:
             yield k, run, outcome, data
     longest = runs.judged(list(late.values()), [None] * len(late))
@@ -202,11 +200,7 @@ def to_the_end(
         yield k, run, outcome, data
 
 
-def _last_isolation_s(run: WrongRun, data: Trajectory) -> float:
-    """Return when a signal was last isolated, or all of them; 0: never."""
-    last_s = 0.0
-    for s in () if run.detector is None else run.latency_s_of:
-        out = data[f"detector.{s}_reason"] > 0
-        begins = data.time_s[1:][out[1:] & ~out[:-1]]
-        last_s = max(last_s, float(begins[-1]) if len(begins) else 0.0)
-    return last_s
+def _isolates(run: WrongRun, data: Trajectory) -> bool:
+    """Whether a signal was isolated, or all of them were withheld, at any time."""
+    signals = () if run.detector is None else run.latency_s_of
+    return any((data[f"detector.{s}_reason"] > 0).any() for s in signals)

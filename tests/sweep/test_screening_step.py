@@ -10,7 +10,8 @@ import pandas as pd
 import pytest
 
 from interarea.cosim.screen import solver_step as module
-from interarea.cosim.screen.screening import Screening, run_screening
+from interarea.cosim.screen.page import write_screening
+from interarea.cosim.screen.screening import Screened, Screening, run_screening
 from interarea.cosim.screen.solver_step import LARGEST, StepChoice, changes_of, choose_step
 
 
@@ -90,3 +91,13 @@ def test_runs_that_fail_with_the_chosen_step_are_repeated(tmp_path: Path, cache:
     own = run_screening(replace(long, solver_step_s=0.001), tmp_path / "own", **options)
     repeated = replace(long, repeat_step_s=0.001)
     assert run_screening(repeated, tmp_path / "repeated", **options) == own
+
+
+def test_the_page_says_which_step_and_shows_angles_without_exponents(tmp_path: Path) -> None:
+    screening = Screening(
+        "grids/own.toml", solver_step_s=0.01, step_reason="solver step: 10 ms; at bus 8 so much"
+    )
+    lost = Screened("8", "", "none", "lost", 366512.4, 0.8, "bus8", 57.0, 63.0, "", None, "synchronism lost")
+    page = write_screening(screening, [lost], tmp_path).read_text(encoding="utf-8")
+    assert "<h1>Screening of own.toml</h1>" in page and "Solver step: 10 ms; at bus 8." in page
+    assert ">366512<" in page and "e+05" not in page
