@@ -15,7 +15,8 @@
 #endif
 #define SPARSE_FOUR
 typedef double four __attribute__((vector_size(32)));
-typedef double two __attribute__((vector_size(16)));   /* real and imaginary part: written in one, or reading them waits */
+/* Real and imaginary part. One store writes both: a load of both right after two stores would wait for them. */
+typedef double two __attribute__((vector_size(16)));
 
 static inline four four_at(const double *a)
 {
