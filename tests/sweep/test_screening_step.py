@@ -94,9 +94,7 @@ def test_runs_that_fail_with_the_chosen_step_are_repeated(tmp_path: Path, cache:
 
 
 def test_the_page_says_which_step_and_shows_angles_without_exponents(tmp_path: Path) -> None:
-    screening = Screening(
-        "grids/own.toml", solver_step_s=0.01, step_reason="solver step: 10 ms; at bus 8 so much"
-    )
+    screening = Screening("grids/own.toml", solver_step_s=0.01, step_reason="solver step: 10 ms; at bus 8")
     lost = Screened("8", "", "none", "lost", 366512.4, 0.8, "bus8", 57.0, 63.0, "", None, "synchronism lost")
     page = write_screening(screening, [lost], tmp_path).read_text(encoding="utf-8")
     assert "<h1>Screening of own.toml</h1>" in page and "Solver step: 10 ms; at bus 8." in page

@@ -256,7 +256,7 @@ int note(size_t device, size_t n, uint64_t has, size_t lanes, double *table, con
          const DeviceSignals *in, const double *x, double *dx, double *words, int watch)
 {
     double switched = 0.0;
-    const Notes notes = { words, watch ? &switched : NULL, NULL, NULL, NULL, 0, n };
+    const Notes notes = { words, watch ? &switched : NULL, NULL, NULL, NULL, 0, n, 0 };
     const DeviceGroup group = { table, machine, n, has, notes };
     TILED(device_run, lanes, n, device, &group, in, x, dx);
     return switched > 0.0;
@@ -276,7 +276,7 @@ double hold(size_t device, size_t n, uint64_t has, double *table, const double *
             const DeviceSignals *in, const double *x, double *dx, double *words, double *onto)
 {
     double worst = -INFINITY;
-    const DeviceGroup group = { table, machine, n, has, { words, NULL, &worst, onto, NULL, 0, n } };
+    const DeviceGroup group = { table, machine, n, has, { words, NULL, &worst, onto, NULL, 0, n, 0 } };
     device_run(device, &group, in, x, dx);
     return worst;
 }
