@@ -58,7 +58,7 @@ static BlockStatus drawn_step(Flow *f, double h, int known)
     ClosedLoop *l = f->l;
     const DrawnMethod *m = h <= l->internal_step * (1.0 + 1e-9) ? &DRAWN_CLASSICAL : &DRAWN_STABLE;
     double *at = l->work + DRAWN_STAGES * l->n_x;
-    BlockLimits limits = {.mode = LIMITS_NOTE};
+    BlockLimits limits = {.mode = LIMITS_NOTE, .stage = 1};
     BlockStatus status = known ? BLOCK_OK : stage_flow(f, 0.0, &limits, l->state, l->work);
 
     limits.mode = LIMITS_WATCH;
@@ -131,7 +131,7 @@ static BlockStatus drawn_settle(ClosedLoop *l, size_t k, double t, double *dx, B
 {
     Block *inner = &l->block[k];
     double *ahead = l->work + l->n_x, *slope = l->slope + l->first_y[k];
-    BlockLimits limits = {.mode = LIMITS_NOTE};
+    BlockLimits limits = {.mode = LIMITS_NOTE, .stage = 1};
     BlockStatus status;
 
     inner->limits = &limits;
