@@ -285,7 +285,7 @@ static inline void plan_offsets(Plan *p)
     p->port_slope = at;    at += 4u * ports * p->folded;
     p->port_b = at;        at += 4u * ports * (n * dense + ports * p->few);
     p->port_z = at;        at += 4u * ports * ports * p->folded;
-    p->warm = at;
+    p->warm = p->port_fold = p->port_past = at;   /* the plan is part of a saved state: every offset is set */
     if (p->folded > 0) {
         at += W_V;
     } else if (ports > 0) {
