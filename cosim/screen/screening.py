@@ -83,6 +83,10 @@ class Screening:
                 )
         return list(dict.fromkeys(requested)) or known
 
+    def at(self, places: tuple[Any, ...]) -> Screening:
+        """Return the same screening of these places alone."""
+        return replace(self, buses=places) if self.kind == "fault" else replace(self, branches=places)
+
     def event(self, place: Any) -> dict[str, Any]:
         """Return the disturbance at a place, as in a scenario file."""
         if self.kind == "trip":
@@ -201,8 +205,7 @@ def _rows_of(
     failed = tuple(dict.fromkeys(rows[kind][rows["status"] != "ok"].tolist()))
     if screening.repeat_step_s is None or not failed:
         return rows
-    again = replace(screening, solver_step_s=screening.repeat_step_s)
-    again = replace(again, buses=failed) if kind == "bus" else replace(again, branches=failed)
+    again = replace(screening.at(failed), solver_step_s=screening.repeat_step_s)
     part = folder.with_name(folder.name + REPEATED)
     run_sweep(again.sweep(clearing=clearing), part, **options)
     return pd.concat([rows[~rows[kind].isin(failed)], read_rows(part)], ignore_index=True)

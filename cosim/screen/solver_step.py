@@ -80,8 +80,7 @@ def choose_step(
     every = screening.places(case)
     places = [every[k * len(every) // 6] for k in (1, 3, 5)]
     kind = PLACE[screening.kind]
-    few = replace(screening, controllers=(), outages=())
-    few = replace(few, buses=tuple(places)) if kind == "bus" else replace(few, branches=tuple(places))
+    few = replace(screening.at(tuple(places)), controllers=(), outages=())
     options: dict[str, Any] = {
         "workers": workers,
         "scheduler": scheduler,
