@@ -19,7 +19,8 @@ typedef struct {
     double *k;               /* of limited_step */
     double t;                /* where the step under way begins */
     long evaluations, switches;
-    double spent;            /* of limited_step */
+    double spent, *overruns; /* of limited_step */
+    size_t n_decisions;
 } Plain;
 
 static double *zeros(size_t n) { return calloc(n + 1, sizeof(double)); }
@@ -46,6 +47,8 @@ void *plain_open(const void *bytes, size_t size, const size_t counts[9], const d
     b->memory = zeros(needs.n_memory);
     b->scratch = zeros(needs.n_scratch);
     b->notes = zeros(needs.n_notes);
+    c->n_decisions = needs.n_decisions;
+    c->overruns = zeros(LIMITED_POINTS * needs.n_decisions);
     c->k = zeros(LIMITED_STEP_ARRAYS * b->layout.n_x);
     if (b->ip == NULL) return NULL;
     memcpy(b->x, x0, b->layout.n_x * sizeof(double));
@@ -112,7 +115,7 @@ double plain_events(void *plant, double begin, double stop, double h, long count
         for (long k = 0; k < count; ++k) {
             c->t = from + (to - from) * ((double)k / (double)count);
             const double step = (to - from) / (double)count;
-            const LimitedRun run = {0.0, &c->spent};
+            const LimitedRun run = {0.0, &c->spent, c->overruns, c->n_decisions};
             if (limited_step(counted, c, b->layout.n_x, c->t, step, b->x, c->k, &run, &c->message) != BLOCK_OK) return -1.0;
         }
         if (event <= stop && block_event(b, event, b->x, &c->message) != BLOCK_OK) return -1.0;

@@ -154,9 +154,9 @@ fmi2Status fmi2GetEventIndicators(fmi2Component component, fmi2Real indicators[]
     Instance *c = component;
 
     if (!instance_allowed(c, MODES_READ, call)) return fmi2Error;
-    if (count != c->n_decisions || (indicators == NULL && count > 0))
+    if (count != c->n_indicators || (indicators == NULL && count > 0))
         return instance_report(c, fmi2Error, call, "%zu indicators were asked for, this FMU has %zu", count,
-                               c->n_decisions);
+                               c->n_indicators);
     if (count > 0 && c->run->mode != MODE_TERMINATED && c->run->mode != MODE_ERROR) {
         const fmi2Status status = refresh_indicators(c, call);
         if (status != fmi2OK) return status;

@@ -254,7 +254,7 @@ static BlockStatus limited_derivatives(Instance *c, LimitMode mode, double *onto
     Block *b = &c->block;
     BlockLimits limits = {.mode = mode, .onto = onto, .each = c->overrun};
 
-    for (size_t i = 0; i < c->n_decisions; ++i) c->overrun[i] = -1.0;
+    for (size_t i = 0; i < c->n_indicators; ++i) c->overrun[i] = -1.0;
     b->limits = &limits;
     const BlockStatus status = block_derivatives(b, c->run->time, b->x, b->u, b->dx, message);
     b->limits = NULL;

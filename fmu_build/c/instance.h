@@ -65,14 +65,15 @@ typedef struct {
     double *u_slope;            /* du/dt at the current time                   */
     double *u_poly;             /* [4*i+k]: k-th derivative of input i over the coming step */
     double *y_slope;            /* dy/dt, sampled blocks                       */
-    double *overrun;            /* model exchange: of each of n_decisions, with the derivatives */
-    size_t n_decisions;
+    double *overrun;            /* model exchange: of each of n_indicators, with the derivatives */
+    size_t n_indicators, n_decisions;
 
     RunState *undo;             /* copy of the saved piece: a step to take back */
     size_t front_size;          /* of the saved piece before block.memory, which only events and starts change ... */
     size_t warm_size;           /* ... but for its last part, which evaluations change */
     int undo_whole;             /* whether `undo` holds all of the memory            */
     double *work;               /* solver: SOLVER_ARRAYS n_x + n_u, directional: 2 n_x + n_u + n_y */
+    double *overruns;           /* solver: LIMITED_POINTS n_decisions          */
 
     const double *start_real, *min_real, *max_real, *nominal_x;
     const int32_t *start_integer, *min_integer, *max_integer;

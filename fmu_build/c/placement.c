@@ -2,6 +2,7 @@
 #include <stdio.h>
 
 #include "instance.h"
+#include "limited_step.h"
 #include "placement.h"
 #include "solver.h"
 
@@ -116,10 +117,12 @@ typedef struct { size_t decided, integers, work; } Parts;
 static Parts parts_of(const Instance *c, const BlockNeeds *needs)
 {
     const BlockLayout *n = &c->block.layout;
+    const int exchange = c->type == fmi2ModelExchange;
 
-    return (Parts){c->type == fmi2ModelExchange ? needs->n_notes + needs->n_decisions : 0,
+    return (Parts){exchange ? needs->n_notes + needs->n_decisions : 0,
                    (c->n_integer + n->n_u + 1) / 2,   /* two to a double */
-                   SOLVER_ARRAYS * n->n_x + 2 * n->n_u + n->n_y};
+                   SOLVER_ARRAYS * n->n_x + 2 * n->n_u + n->n_y
+                   + (exchange ? 0 : LIMITED_POINTS * needs->n_decisions)};
 }
 
 size_t instance_sizes(Instance *c, const BlockNeeds *needs)
@@ -154,7 +157,9 @@ void instance_place(Instance *c, const BlockNeeds *needs)
     c->u_poly = c->u_slope + n->n_u;
     c->y_slope = c->u_poly + 4 * n->n_u;
     c->overrun = c->y_slope + n->n_y;
-    c->n_decisions = exchange ? needs->n_decisions : 0;
+    c->n_indicators = exchange ? needs->n_decisions : 0;
+    c->n_decisions = exchange ? 0 : needs->n_decisions;
+    c->overruns = c->work + SOLVER_ARRAYS * n->n_x + 2 * n->n_u + n->n_y;
     c->integer = (int *)(c->overrun + parts.decided);
     b->memory = c->overrun + parts.decided + parts.integers;
     b->iu = c->integer;

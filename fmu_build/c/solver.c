@@ -33,10 +33,10 @@ static BlockStatus flow(void *context, double into, BlockLimits *limits, const d
     return status;
 }
 
-/* What the run may still spend on finding switches. */
+/* What the run may still spend on finding switches, and room for it. */
 static LimitedRun run_of(const Instance *c)
 {
-    return (LimitedRun){c->run->start_time, &c->run->switches_cost};
+    return (LimitedRun){c->run->start_time, &c->run->switches_cost, c->overruns, c->n_decisions};
 }
 
 static Flow flow_of(Instance *c, const Stretch *s, BlockMessage *message)

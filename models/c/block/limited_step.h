@@ -23,8 +23,13 @@ enum { LIMITED_STEP_ARRAYS = 10 };
 
 /* Evaluations that a run has for finding switches, enough for some 190, beside one for two of its steps. A grid
  * out of step has hundreds a second, none of which matters: it must not take ten times as long for them. */
-static const double LIMITED_FIRST = 2000.0;
-typedef struct { double begin, *spent; } LimitedRun;   /* since when it goes on; how many it has used */
+static const double LIMITED_FIRST = 1500.0;
+enum { LIMITED_POINTS = 3 };   /* for each of which `overruns` has room */
+typedef struct {
+    double begin, *spent;     /* since when it goes on; how many it has used                */
+    double *overruns;         /* by how much each of n_decisions is beyond its range, at LIMITED_POINTS points */
+    size_t n_decisions;
+} LimitedRun;
 
 /* dx/dt at x, `into` seconds after the begin of the step, limiters as `limits` says. */
 typedef BlockStatus LimitedFlow(void *context, double into, BlockLimits *limits, const double *x, double *k);
@@ -37,6 +42,7 @@ typedef struct {
     double *work, *x;         /* 5 n of runge_kutta.h; where the part of the step begins */
     double *end, *slope, *at; /* where it ends: states, their slopes; another point      */
     double *bend;             /* of the quartic between them */
+    const LimitedRun *run;
     BlockLimits limits;
     long count;               /* of evaluations after the first try with limiters held */
     BlockMessage *message;
@@ -60,14 +66,20 @@ static inline BlockStatus limited_stage(void *context, RungeKuttaStage stage, do
     return status;
 }
 
-/* By how much a limiter is beyond its range at x, `into` seconds after s->done; states held go onto
- * their limits in s->at. */
-static inline BlockStatus limited_overrun(LimitedStep *s, double into, const double *x, double *k, double *overrun)
+/* By how much a limiter is beyond its range at x, `into` seconds after s->done, and each of them; states held go onto
+ * their limits in s->at. near: the voltages of ports need not be closer than a step's stages have them. */
+static inline BlockStatus limited_overrun(LimitedStep *s, double into, int near, const double *x, double *k,
+                                          double *each, double *overrun)
 {
+    for (size_t i = 0; i < s->run->n_decisions; ++i) each[i] = -INFINITY;
     s->limits.mode = LIMITS_HOLD;
     s->limits.worst = -INFINITY;
     s->limits.onto = s->at;
+    s->limits.each = each;
+    s->limits.stage = near;
     const BlockStatus status = limited_flow(s, into, x, k);
+    s->limits.stage = 0;
+    s->limits.each = NULL;
     s->limits.onto = NULL;
     *overrun = s->limits.worst;
     return status;
@@ -83,7 +95,7 @@ static inline BlockStatus limited_try(LimitedStep *s, double h, double *overrun)
     memcpy(s->end, s->x, s->n * sizeof(double));
     runge_kutta_move(s->n, h, s->end, s->work);
     memcpy(s->at, s->end, s->n * sizeof(double));
-    return limited_overrun(s, h, s->end, s->slope, overrun);
+    return limited_overrun(s, h, 1, s->end, s->slope, s->run->overruns, overrun);
 }
 
 /* x on the quartic through values and slopes at both ends of h, `into` seconds after its begin; bent as
@@ -111,62 +123,132 @@ static inline void limited_bend(LimitedStep *s, double h, const double *k)
     }
 }
 
-/* Where on the quartic over h the first limiter gets beyond its range: after `low`, before `high`. Another limiter may
- * be nearest its range at `low`, or one that rests there: only what is beyond tells anything, by the line through
- * `high` and the high before it. */
-typedef struct { double low, high, at_high, past, at_past, width, reach; int slow; } LimitedSearch;
+/* Where on the quartic over h the first limiter gets beyond its range: after `low`, before `high`, which is among the
+ * points last looked at. */
+typedef struct { double at, *each; } LimitedPoint;
+typedef struct {
+    LimitedPoint point[LIMITED_POINTS];
+    int count;
+    double low, high, width, reach;
+    int slow;
+} LimitedSearch;
+
+/* The point at `high`, and of the two others the nearer one first. Returns how many there are. */
+static inline int limited_order(const LimitedSearch *s, LimitedPoint *p)
+{
+    int n = 1;
+    for (int i = 0; i < s->count; ++i) {
+        if (s->point[i].at == s->high) p[0] = s->point[i];
+        else p[n++] = s->point[i];
+    }
+    if (n == 3 && fabs(p[2].at - s->high) < fabs(p[1].at - s->high)) {
+        const LimitedPoint farther = p[1];
+        p[1] = p[2];
+        p[2] = farther;
+    }
+    return n;
+}
+
+/* Where decision i, beyond its range at p[0], gets there: on the line through two points, on the parabola through
+ * three; NaN where they tell nothing. */
+static inline double limited_root(const LimitedPoint *p, int n, size_t i)
+{
+    if (n < 2) return NAN;
+    const double at = p[0].each[i], steep = (p[1].each[i] - at) / (p[1].at - p[0].at);
+    double t = p[0].at - at / steep;
+
+    if (n < 3) return t;
+    const double bent = ((p[2].each[i] - at) / (p[2].at - p[0].at) - steep) / (p[2].at - p[1].at);
+    for (int round = 0; round < 3; ++round) {
+        const double a = t - p[0].at, b = t - p[1].at;
+        t -= (at + a * (steep + b * bent)) / (steep + (a + b) * bent);
+    }
+    return t;
+}
+
+/* Where the first limiter does, as far as the points tell: between `low` and `high`. */
+static inline double limited_first(const LimitedSearch *s, size_t decisions)
+{
+    LimitedPoint p[LIMITED_POINTS];
+    const int n = limited_order(s, p);
+    double first = s->high;
+
+    for (size_t i = 0; i < decisions; ++i) {
+        if (!(p[0].each[i] > 0.0)) continue;
+        double root = limited_root(p, n, i);
+        if (!(root > s->low && root < s->high)) root = limited_root(p, n < 2 ? n : 2, i);
+        if (!(root > s->low && root < s->high)) root = 0.5 * (s->low + s->high);
+        if (root < first) first = root;
+    }
+    return first;
+}
+
+/* The numbers of the point that is to be looked at next: of one that is not `high`, the farthest from there. */
+static inline double *limited_room(LimitedSearch *s, double into, double *overruns, size_t decisions)
+{
+    int old = 0;
+
+    if (s->count < LIMITED_POINTS) return overruns + (size_t)s->count * decisions;
+    for (int i = 1; i < LIMITED_POINTS; ++i) {
+        const int farther = fabs(s->point[i].at - into) > fabs(s->point[old].at - into);
+        if (s->point[old].at == s->high || (farther && s->point[i].at != s->high)) old = i;
+    }
+    double *room = s->point[old].each;
+    s->point[old] = s->point[--s->count];
+    return room;
+}
 
 /* Takes in that a limiter is `value` beyond its range at `into`; whether that is as just after its switch as `close`
  * says. */
-static inline int limited_found(LimitedSearch *s, double into, double value, double h, double close)
+static inline int limited_found(LimitedSearch *s, double into, double value, double *each, size_t decisions,
+                                double close)
 {
-    if (!(value > 0.0)) {
-        s->low = into;
-        s->reach *= 8.0;
-        return 0;
-    }
-    s->past = s->high;
-    s->at_past = s->at_high;
-    s->high = into;
-    s->at_high = value;
-    const double steep = (s->at_past - value) / (s->past - into), above = value / steep;
-    /* of two points far apart the line promises an end that is none */
-    const int near = steep > 0.0 && s->past - into <= 0.05 * h;
-    s->reach = near && above <= 0.01 * h ? 2.0 * close : 0.05 * above;
-    return (near && above <= 4.0 * close) || into - s->low <= 4.0 * close;
+    const int beyond = value > 0.0, last = s->count;
+    double nearest = INFINITY;
+
+    for (int i = 0; i < last; ++i) nearest = fmin(nearest, fabs(into - s->point[i].at));
+    s->point[s->count++] = (LimitedPoint){into, each};
+    if (beyond) s->high = into;
+    else s->low = into;
+    if (!beyond) return 0;
+    if (into - s->low <= 4.0 * close) return 1;
+    /* of points far apart a parabola promises an end that is none */
+    return into - limited_first(s, decisions) <= 4.0 * close && nearest <= 5e5 * close;
 }
 
-/* Where to look next: `reach` above the end of the line, or in the middle where that says nothing or has
- * gained too little three times. */
-static inline double limited_aim(LimitedSearch *s)
+/* Where to look next: just after where the first limiter seems to switch, or in the middle where that has gained too
+ * little three times. What falls short of it by little is followed by larger and larger steps. */
+static inline double limited_aim(LimitedSearch *s, size_t decisions, double close)
 {
-    const double end = s->high - s->at_high * (s->past - s->high) / (s->at_past - s->at_high);
-    const double into = (end < s->low ? s->low : end) + s->reach;
+    const double first = limited_first(s, decisions), middle = 0.5 * (s->low + s->high);
 
+    s->reach = first - s->low <= 2.0 * s->reach ? 8.0 * s->reach : 2.0 * close;
     s->slow = s->high - s->low > 0.5 * s->width ? s->slow + 1 : 0;
     s->width = s->high - s->low;
-    if (into > s->low && into < s->high && s->slow <= 2) return into;
+    if (first + s->reach < s->high && s->slow <= 2) return first + s->reach;
     s->slow = 0;
-    return 0.5 * (s->low + s->high);
+    return middle;
 }
 
-/* Over h, at whose end a limiter is overrun beyond its range, to just after the first switch: s->at, held states
- * on their limits. They are as exact there as at the end of a step: no step need end there. */
-static inline BlockStatus limited_land(LimitedStep *s, double h, double overrun, double *landed)
+/* Over h, at whose end a limiter is overrun, to just after the first switch: s->at, held states on their limits. They
+ * are as exact there as at the end of a step: no step need end there. */
+static inline BlockStatus limited_land(LimitedStep *s, double h, double *landed)
 {
-    enum { MOST = 30 };
+    enum { MOST = 30, COARSE = 2 };
+    const size_t decisions = s->run->n_decisions;
+    const double close = 1e-7 * h;
     double *x = s->work + 4 * s->n, *k = s->work + s->n, into = LIMITED_BEND * h;
-    LimitedSearch search = {0.0, h, overrun, INFINITY, NAN, h, 0.0, 0};
+    LimitedSearch search = {{{h, s->run->overruns}}, 1, 0.0, h, h, 2.0 * close, 0};
 
     memset(s->bend, 0, s->n * sizeof(double));
-    for (int count = 0;; ++count, into = count < MOST ? limited_aim(&search) : search.high) {
-        double value;
+    for (int count = 0;; ++count, into = count < MOST ? limited_aim(&search, decisions, close) : search.high) {
+        double value, *each = limited_room(&search, into, s->run->overruns, decisions);
         limited_between(s, h, into, x);
         memcpy(s->at, x, s->n * sizeof(double));
-        const BlockStatus status = limited_overrun(s, into, x, k, &value);
+        const BlockStatus status = limited_overrun(s, into, count < COARSE, x, k, each, &value);
         if (status != BLOCK_OK) return status;
         if (count == 0) limited_bend(s, h, k);
-        if (limited_found(&search, into, value, h, 1e-7 * h) || count == MOST) break;
+        if (limited_found(&search, into, value, each, decisions, close) || count == MOST) break;
     }
     *landed = into;
     return BLOCK_OK;
@@ -253,7 +335,7 @@ static inline BlockStatus limited_again(LimitedStep *s, double h, double *x)
             memcpy(x, s->at, size);
             return BLOCK_OK;
         }
-        if ((status = limited_land(s, h - s->done, overrun, &landed)) != BLOCK_OK) return status;
+        if ((status = limited_land(s, h - s->done, &landed)) != BLOCK_OK) return status;
         memcpy(s->x, s->at, size);
         s->done += landed;
     }
@@ -299,6 +381,7 @@ static inline LimitedStep limited_of(LimitedFlow *flow, void *context, size_t n,
  * `work` hold the slopes at its begin, the block's notes what limiters are at there. */
 static inline BlockStatus limited_switched(LimitedStep *s, double h, double *x, const LimitedRun *run)
 {
+    s->run = run;
     const BlockStatus status = limited_again(s, h, x);
     if (status == BLOCK_OK) limited_pay(run, s);
     return status;

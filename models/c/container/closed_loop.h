@@ -40,7 +40,7 @@ typedef struct {
     int direct;                             /* whether its outputs reach another member within a step */
     BlockLayout layout;
     size_t record, size, entries;           /* its record: where in the outer one, bytes, how many entries */
-    size_t n_memory, n_notes;
+    size_t n_memory, n_notes, n_decisions;
 } LoopMemberPlan;
 
 typedef struct {
@@ -70,9 +70,9 @@ typedef struct {
     Block block[LOOP_MEMBERS];
     int u_order[LOOP_MEMBERS];              /* of a channel's one input                  */
     size_t first_u[LOOP_MEMBERS], first_y[LOOP_MEMBERS], first_x[LOOP_MEMBERS];
-    size_t first_iu[LOOP_MEMBERS], first_note[LOOP_MEMBERS];
+    size_t first_iu[LOOP_MEMBERS], first_note[LOOP_MEMBERS], first_decision[LOOP_MEMBERS];
     size_t n_x, n_u, n_y, n_iu, n_iy;       /* of all members together                   */
-    size_t n_notes;                         /* of all members' limiters                  */
+    size_t n_notes, n_decisions;            /* of all members' limiters                  */
     size_t n_memory, n_scratch;             /* what the outer block needs                */
     const int32_t *wire;                    /* per input: the output that feeds it, or -1 */
     const int32_t *flag;                    /* the same of integer inputs and outputs    */
@@ -87,7 +87,7 @@ typedef struct {
     size_t source[LOOP_MEMBERS];
     /* scratch */
     BlockLimits *limits;                    /* of the evaluation under way, or null      */
-    double *saved, *saved_state, *saved_iy, *poly, *y0, *slope0, *work;
+    double *saved, *saved_state, *saved_iy, *poly, *y0, *slope0, *work, *overruns;
 } ClosedLoop;
 
 /* Whether a member is a plant, or what controls it. */

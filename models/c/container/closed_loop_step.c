@@ -71,6 +71,7 @@ static BlockStatus derivatives(ClosedLoop *l, size_t k, double t, const double *
     if (whole != NULL) {
         own = *whole;
         own.onto = whole->onto != NULL ? whole->onto + l->first_x[k] : NULL;
+        own.each = whole->each != NULL ? whole->each + l->first_decision[k] : NULL;
         inner->limits = &own;
     }
     const BlockStatus status = l->member[k]->derivatives(inner, t, x + l->first_x[k], u + l->first_u[k],
@@ -123,7 +124,7 @@ static BlockStatus integrate(ClosedLoop *l, double begin, double since, double l
 {
     const long count = runge_kutta_count(length, l->internal_step);
     Flow f = {l, begin, since, message};
-    const LimitedRun run = {l->outer->memory[M_ORIGIN], &l->outer->memory[M_SWITCHES_COST]};
+    const LimitedRun run = {l->outer->memory[M_ORIGIN], &l->outer->memory[M_SWITCHES_COST], l->overruns, l->n_decisions};
 
     for (long step = 0; step < count; ++step) {
         const double into = length * ((double)step / (double)count);

@@ -68,10 +68,12 @@ static BlockStatus read_member(LoopMemberPlan *m, const Record *record, size_t k
     if (layout_of(&inner, &m->layout) != 0) return unfit(message, "a member");
     if (kind == KIND_CHANNEL && (m->layout.n_u != 1 || m->layout.n_x != 0)) return unfit(message, "a channel");
     if ((status = KINDS[kind]->needs(&inner, &m->layout, &needs, message)) != BLOCK_OK) return status;
-    if (needs.n_memory > 1u << 24 || needs.n_scratch > 1u << 24 || needs.n_notes > 1u << 24)
+    if (needs.n_memory > 1u << 24 || needs.n_scratch > 1u << 24 || needs.n_notes > 1u << 24
+        || needs.n_decisions > 1u << 24)
         return unfit(message, "a member");
     m->n_memory = needs.n_memory;
     m->n_notes = needs.n_notes;
+    m->n_decisions = needs.n_decisions;
     if (needs.n_scratch > *n_scratch) *n_scratch = needs.n_scratch;
     return BLOCK_OK;
 }
@@ -82,7 +84,7 @@ static void lay_out(ClosedLoop *l, const LoopPlan *plan)
     l->plan = plan;
     l->limits = NULL;
     l->count = plan->count;
-    l->n_x = l->n_u = l->n_y = l->n_iu = l->n_iy = l->n_members = l->n_notes = 0;
+    l->n_x = l->n_u = l->n_y = l->n_iu = l->n_iy = l->n_members = l->n_notes = l->n_decisions = 0;
     for (size_t k = 0; k < plan->count; ++k) {
         const LoopMemberPlan *m = &plan->member[k];
 
@@ -94,6 +96,7 @@ static void lay_out(ClosedLoop *l, const LoopPlan *plan)
         l->first_y[k] = l->n_y;
         l->first_iu[k] = l->n_iu;
         l->first_note[k] = l->n_notes;
+        l->first_decision[k] = l->n_decisions;
         l->n_x += m->layout.n_x;
         l->n_u += m->layout.n_u;
         l->n_y += m->layout.n_y;
@@ -101,10 +104,11 @@ static void lay_out(ClosedLoop *l, const LoopPlan *plan)
         l->n_iy += m->layout.n_iy;
         l->n_members += m->layout.n_u + m->layout.n_iu + m->n_memory;
         l->n_notes += m->n_notes;
+        l->n_decisions += m->n_decisions;
     }
     l->n_memory = LOOP_SAVED + 3 * l->n_y + l->n_x + l->n_members;
     l->n_scratch = l->n_members + l->n_x + l->n_iy + 6 * l->n_y + LOOP_ARRAYS * l->n_x + l->n_u + l->n_y + l->n_notes
-                   + plan->n_scratch;
+                   + LIMITED_POINTS * l->n_decisions + plan->n_scratch;
 }
 
 /* What the members have together must be the outer layout. */
@@ -213,7 +217,7 @@ static double longest_step(const LoopPlan *plan, double plants)
 static BlockStatus open_loop(ClosedLoop *l, Block *b, BlockMessage *message)
 {
     const LoopPlan *plan = plan_in(b);
-    double *next;
+    double *next, *notes;
     size_t p = 0, iy = 0, ip = 0;
 
     if (plan->count == 0) return unfit(message, "used before block_start; the plan");
@@ -236,6 +240,8 @@ static BlockStatus open_loop(ClosedLoop *l, Block *b, BlockMessage *message)
     l->y0 = l->poly + 4 * l->n_y;
     l->slope0 = l->y0 + l->n_y;
     l->work = l->slope0 + l->n_y;
+    notes = l->work + LOOP_ARRAYS * l->n_x + l->n_u + l->n_y;
+    l->overruns = notes + l->n_notes;
     next = l->members;
     for (size_t k = 0; k < l->count; ++k) {
         Block *inner = &l->block[k];
@@ -260,9 +266,9 @@ static BlockStatus open_loop(ClosedLoop *l, Block *b, BlockMessage *message)
         ip += inner->layout.n_ip;
         inner->u_order = &l->u_order[k];
         l->u_order[k] = 0;
-        inner->notes = l->work + LOOP_ARRAYS * l->n_x + l->n_u + l->n_y + l->first_note[k];
+        inner->notes = notes + l->first_note[k];
         inner->limits = NULL;
-        inner->scratch = l->work + LOOP_ARRAYS * l->n_x + l->n_u + l->n_y + l->n_notes;
+        inner->scratch = l->overruns + LIMITED_POINTS * l->n_decisions;
     }
     return BLOCK_OK;
 }
