@@ -7,8 +7,9 @@ for grids Wies, Pierre and Trudnowski 2003) fit an autoregression to lags beyond
 singular values of their matrix [Cadzow1982].
 
 Intervals are by the infinitesimal jackknife over blocks of the record [Jaeckel1972], from the derivatives of
-the poles by the weight of each block. They describe the errors of a model with few states only: the poles of
-one with more follow the noise, by derivatives larger than the errors.
+the poles by the weight of each block. Derivatives of poles by subspaces are those of covariances of exactly
+the rank of the model, the asymptotic ones [ChiusoPicci2004]: those of the truncated decomposition itself
+become infinite where the last singular value kept nears the first left out, far above the errors.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ _AR_ORDER, _AR_EQUATIONS = 8, 20
 _AR_RANK = 10  # of the equations: with all 24 the errors of modes .03 Hz apart are 1.6 times as large
 _LEAST_SINGULAR = 1e-12  # of the largest: less is rounding
 _BLOCK_S, _MOST_BLOCKS, _LEAST_BLOCKS = 30.0, 20, 8
-_LESS = 1e-3  # of the weight of a block, for derivatives
+_LESS = 1e-3  # of the weight of a block, for derivatives by lags
 
 
 @dataclass(frozen=True)
@@ -108,11 +109,10 @@ class _Covariances:
     def all(self) -> Array:
         return np.asarray(self.sums.sum(axis=0) / self.counts.sum())
 
-    def changed(self) -> list[Array]:
-        """Return the covariances with less weight of each block in turn."""
-        sums, count = self.sums.sum(axis=0), self.counts.sum()
-        blocks = zip(self.sums, self.counts, strict=True)
-        return [np.asarray((sums - _LESS * own) / (count - _LESS * n)) for own, n in blocks]
+    def slopes(self) -> list[Array]:
+        """Return the derivatives of the covariances by what is taken from the weight of each block."""
+        R, count = self.all(), self.counts.sum()
+        return [np.asarray((n * R - own) / count) for own, n in zip(self.sums, self.counts, strict=True)]
 
 
 def _rows(step_s: float) -> int:
@@ -125,22 +125,21 @@ def ambient_modes(values: Array, step_s: float, band_hz: tuple[float, float]) ->
     A mode is one that both methods find, or the first alone: `estimates` has those that do.
     """
     covariances, rows = _Covariances.of(values, step_s), _rows(step_s)
-    R, changed = covariances.all(), covariances.changed()
-    tracks = _stable(R, rows, step_s, band_hz)
+    R, slopes = covariances.all(), covariances.slopes()
+    factors = _Factors.of(R, rows, step_s)
+    tracks = _stable(factors, band_hz)
     orders = sorted({entry.order for track in tracks for entry in track})
-    by_order = [[poles for poles, *_ in _subspace(c, rows, orders, step_s)] for c in changed]
-    by_lags = [_yule_walker(c, step_s)[0] for c in changed]
+    matrices = [_toeplitz(slope, rows) for slope in slopes]
+    by_order = {n: factors.slopes(n, matrices) for n in orders}
+    by_lags = _by_lags(R, slopes, step_s)
     modes = []
     for track in tracks:
         mode = _Entry.mean(track)
-        moved = [
-            complex(np.mean([_moved(poles[orders.index(e.order)], e.pole) for e in track]))
-            for poles in by_order
-        ]
-        estimates = [_estimate(SUBSPACE, mode.pole, moved)]
+        own = np.mean([_of_pole(*by_order[e.order], e.pole) for e in track], axis=0)
+        estimates = [_estimate(SUBSPACE, mode.pole, own)]
         other = _nearest(*_yule_walker(R, step_s), mode.pole, mode.shape)
         if other is not None:
-            estimates.append(_estimate(YULE_WALKER, other, [_moved(poles, other) for poles in by_lags]))
+            estimates.append(_estimate(YULE_WALKER, other, _slopes_by_lags(by_lags, other)))
         modes.append(AmbientMode(mode.pole, mode.share, mode.shape, mode.order, tuple(estimates)))
     return sorted(modes, key=lambda mode: -mode.share)
 
@@ -153,20 +152,19 @@ def estimate_of_one(values: Array, step_s: float, band_hz: tuple[float, float]) 
     """
     covariances = _Covariances.of(values, step_s)
     R = covariances.all()
-    pole = _strongest(R, _rows(step_s), step_s, band_hz)
+    pole = _strongest(_Factors.of(R, _rows(step_s), step_s), band_hz)
     if pole is None:
         return None
     own = _nearest(*_yule_walker(R, step_s), pole, np.ones(1, complex), _SAME_OF_ONE)
     if own is None:
         return None
-    moved = [_moved(_yule_walker(c, step_s)[0], own) for c in covariances.changed()]
-    return _estimate(YULE_WALKER, own, moved)
+    return _estimate(YULE_WALKER, own, _slopes_by_lags(_by_lags(R, covariances.slopes(), step_s), own))
 
 
-def _strongest(R: Array, rows: int, step_s: float, band_hz: tuple[float, float]) -> complex | None:
+def _strongest(factors: _Factors, band_hz: tuple[float, float]) -> complex | None:
     """Return the pole with the largest share, the mean over a few orders; None if none is in the band."""
     best = []
-    for poles, _, shares in _subspace(R, rows, _FEW_ORDERS, step_s):
+    for poles, _, shares in map(factors.poles, _FEW_ORDERS):
         f = poles.imag / (2.0 * np.pi)
         share = np.where((f >= band_hz[0]) & (f <= band_hz[1]) & (poles.real < 0.0), shares, -np.inf)
         if share.size and np.isfinite(share.max()):
@@ -178,33 +176,71 @@ def _toeplitz(R: Array, rows: int) -> Array:
     return np.vstack([np.hstack([R[rows + r - c] for c in range(rows)]) for r in range(rows)])
 
 
-def _subspace(
-    R: Array, rows: int, orders: range | list[int], step_s: float
-) -> list[tuple[ComplexArray, ComplexArray, Array]]:
-    """Return for each order poles (rad/s, upper half), their shapes (m, poles) and shares of the motion."""
-    m = R.shape[-1]
-    left, sigma, right = np.linalg.svd(_toeplitz(R, rows), full_matrices=False)
-    result = []
-    for n in orders:
-        n = min(n, len(sigma))
-        observed = left[:, :n] * np.sqrt(sigma[:n])
-        A = np.linalg.lstsq(observed[:-m], observed[m:], rcond=None)[0]
-        G = (np.sqrt(sigma[:n])[:, None] * right[:n])[:, -m:]
-        discrete, vectors = np.linalg.eig(A)
+@dataclass(frozen=True)
+class _Factors:
+    """The Toeplitz matrix of covariances as left x sigma x right. R0 : covariance of the signals (m, m)."""
+
+    R0: Array
+    left: Array
+    sigma: Array
+    right: Array
+    step_s: float
+
+    @classmethod
+    def of(cls, R: Array, rows: int, step_s: float) -> _Factors:
+        return cls(R[0], *np.linalg.svd(_toeplitz(R, rows), full_matrices=False), step_s)
+
+    def poles(self, order: int) -> tuple[ComplexArray, ComplexArray, Array]:
+        """Return poles (rad/s, upper half), their shapes (m, poles) and shares of the motion."""
+        m, n = len(self.R0), self._rank(order)
+        observed, _, discrete, vectors = self._states(n)
+        G = (np.sqrt(self.sigma[:n])[:, None] * self.right[:n])[:, -m:]
         shapes, entered = observed[:m] @ vectors, np.linalg.solve(vectors, G.astype(complex))
-        upper = np.flatnonzero((discrete.imag > 0.0) & (np.abs(discrete) > 1e-6))
+        upper = _upper(discrete)
         # R(0) = sum of shape x entered / pole over all poles
         parts = np.array([2.0 * np.real(np.sum(shapes[:, k] * entered[k]) / discrete[k]) for k in upper])
-        result.append(
-            (np.log(discrete[upper].astype(complex)) / step_s, shapes[:, upper], parts / np.trace(R[0]))
-        )
-    return result
+        poles = np.asarray(np.log(discrete[upper]) / self.step_s, dtype=complex)
+        return poles, shapes[:, upper], parts / np.trace(self.R0)
+
+    def slopes(self, order: int, matrices: Sequence[Array]) -> tuple[ComplexArray, ComplexArray]:
+        """Return the poles, and their derivatives (matrices, poles) by Toeplitz matrices added to one of rank
+        `order`.
+
+        The observability matrix O = left x sigma^0.5 changes by dO = dT x right / sigma^0.5, but for a change
+        of coordinates; a pole z with vectors v, w of its shift matrix by w O+ (dO below - z dO above) v.
+        """
+        m, n = len(self.R0), self._rank(order)
+        _, inverse, discrete, vectors = self._states(n)
+        upper = _upper(discrete)
+        z = discrete[upper]
+        enters = (self.right[:n].T / np.sqrt(self.sigma[:n])) @ vectors[:, upper]
+        leaves = np.linalg.inv(vectors)[upper] @ inverse
+        rows = []
+        for matrix in matrices:
+            moved = matrix @ enters
+            rows.append(np.sum(leaves.T * (moved[m:] - moved[:-m] * z), axis=0) / (z * self.step_s))
+        return np.asarray(np.log(z) / self.step_s, dtype=complex), np.array(rows)
+
+    def _rank(self, order: int) -> int:
+        return min(order, int(np.sum(self.sigma > _LEAST_SINGULAR * self.sigma[0])))
+
+    def _states(self, n: int) -> tuple[Array, Array, ComplexArray, ComplexArray]:
+        """Return the observability matrix, the inverse of its upper part, discrete poles and vectors."""
+        m, observed = len(self.R0), self.left[:, :n] * np.sqrt(self.sigma[:n])
+        inverse = np.asarray(np.linalg.pinv(observed[:-m]), dtype=np.float64)
+        discrete, vectors = np.linalg.eig(inverse @ observed[m:])
+        return observed, inverse, discrete.astype(complex), vectors.astype(complex)
 
 
-def _stable(R: Array, rows: int, step_s: float, band_hz: tuple[float, float]) -> list[list[_Entry]]:
+def _upper(discrete: ComplexArray) -> npt.NDArray[np.intp]:
+    return np.flatnonzero((discrete.imag > 0.0) & (np.abs(discrete) > 1e-6))
+
+
+def _stable(factors: _Factors, band_hz: tuple[float, float]) -> list[list[_Entry]]:
     """Return each mode that stays from order to order, at the first of them."""
     tracks: list[list[_Entry]] = []
-    for n, (poles, shapes, shares) in zip(_ORDERS, _subspace(R, rows, _ORDERS, step_s), strict=True):
+    for n in _ORDERS:
+        poles, shapes, shares = factors.poles(n)
         for k, pole in enumerate(poles):
             if not (
                 band_hz[0] <= pole.imag / (2 * np.pi) <= band_hz[1] and 0.0 < _ratio(pole) < _MOST_DAMPED
@@ -275,22 +311,30 @@ def _nearest(
     return best if abs(best - to) <= within * abs(to) else None
 
 
-def _moved(poles: ComplexArray, before: complex) -> complex:
-    """Return the pole that another has become by a small change of the covariances."""
-    return complex(poles[np.argmin(np.abs(poles - before))])
+def _of_pole(poles: ComplexArray, slopes: ComplexArray, pole: complex) -> ComplexArray:
+    return np.asarray(slopes[:, np.argmin(np.abs(poles - pole))])
 
 
-def _estimate(method: str, pole: complex, moved: Sequence[complex]) -> Estimate:
-    """Return a pole with its intervals, from those with `_LESS` of the weight of each block."""
-    blocks = len(moved)
+def _by_lags(R: Array, slopes: Sequence[Array], step_s: float) -> list[ComplexArray]:
+    """Return the poles of the autoregression with `_LESS` of the weight of each block in turn."""
+    return [_yule_walker(R + _LESS * slope, step_s)[0] for slope in slopes]
+
+
+def _slopes_by_lags(moved: Sequence[ComplexArray], pole: complex) -> ComplexArray:
+    return np.array([(poles[np.argmin(np.abs(poles - pole))] - pole) / _LESS for poles in moved])
+
+
+def _estimate(method: str, pole: complex, slopes: ComplexArray) -> Estimate:
+    """Return a pole with its intervals, from its derivatives by the weight of each block."""
+    blocks, size = len(slopes), abs(pole)
     wide = float(student.ppf(0.5 + 0.5 * LEVEL, blocks - 1))
 
-    def interval(value: float, others: Array) -> tuple[float, float]:
-        slopes = (others - value) / _LESS
-        half = wide * float(np.sqrt(blocks / (blocks - 1) * np.sum((slopes - slopes.mean()) ** 2)))
+    def interval(value: float, changes: Array) -> tuple[float, float]:
+        around = changes - changes.mean()
+        half = wide * float(np.sqrt(blocks / (blocks - 1) * np.sum(around**2)))
         return value - half, value + half
 
-    f, z = abs(pole) / (2.0 * np.pi), _ratio(pole)
-    hertz = np.array([abs(z) / (2.0 * np.pi) for z in moved])
-    ratios = np.array([_ratio(z) for z in moved])
-    return Estimate(method, f, interval(f, hertz), z, interval(z, ratios))
+    f, z = size / (2.0 * np.pi), _ratio(pole)
+    sizes = np.real(np.conj(pole) * slopes) / size
+    ratios = -(slopes.real + z * sizes) / size
+    return Estimate(method, f, interval(f, sizes / (2.0 * np.pi)), z, interval(z, ratios))
