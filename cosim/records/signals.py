@@ -109,9 +109,13 @@ def _require_shown(record: Record, low: float, high: float) -> None:
     if not 0.0 < low < high:
         raise RecordError(f"band {low:g}:{high:g} Hz, allowed: 0 < low < high")
     if not 1.0 / record.step_s >= 2.0 * high:
+        least = 0.5 / record.step_s
+        remedy = (
+            f"a band that ends below {least:.4g} Hz" if low < least else "the unit of its times, as Time [ms]"
+        )
         raise RecordError(
             f"{record.source}: {1.0 / record.step_s:.4g} samples a second are too few for {high:g} Hz, "
-            f"wanted: {2.0 * high:g} at least, or a band that ends below {0.5 / record.step_s:.4g} Hz"
+            f"wanted: {2.0 * high:g} at least, or {remedy}"
         )
     if not record.length_s >= 0.99 * _LEAST_PERIODS / low:
         least = _LEAST_PERIODS / record.length_s

@@ -26,6 +26,7 @@ _TYPES: dict[str, tuple[str, float]] = {
 _MISSING_ASCII = 99999.0
 _SPAN = 0.01  # of a record: a difference between its stamps and its rates
 _MISSING_STAMP = 0xFFFFFFFF
+_LINE_END = re.compile(rb"\r+\n|\n\r|\r")  # any but \n, such as those of a text written as text twice
 _SECTION = re.compile(rb"-+\s*file type:\s*(\w+)(?:\s+(\w+))?(?:\s*:\s*\d+)?\s*-+\s*\r?\n", re.IGNORECASE)
 
 
@@ -65,8 +66,9 @@ class Comtrade:
 class _Lines:
     """The lines of a configuration, one after the other; an error names the line and what it should hold."""
 
-    def __init__(self, path: Path, text: str) -> None:
-        self._path, self._lines, self.number = path, text.splitlines(), 0
+    def __init__(self, path: Path, data: bytes) -> None:
+        text = _LINE_END.sub(b"\n", data).decode("utf-8", "replace").rstrip("\n\x1a")
+        self._path, self._lines, self.number = path, text.split("\n"), 0
 
     def next(self, wanted: str, least: int = 1) -> list[str]:
         self.number += 1
@@ -110,15 +112,15 @@ def read_comtrade(path: Path) -> Comtrade:
             raise RecordError(
                 f"{path}: not a COMTRADE .cff file, wanted: '--- file type: CFG ---' and DAT in it"
             )
-        return _read(path, sections[b"CFG"].decode("utf-8", "replace"), sections[b"DAT"])
+        return _read(path, sections[b"CFG"], sections[b"DAT"])
     data = next((p for p in (path.with_suffix(s) for s in (".dat", ".DAT", ".Dat")) if p.is_file()), None)
     if data is None:
         raise RecordError(f"{path}: its data are missing, wanted: {path.with_suffix('.dat').name} beside it")
-    return _read(path, path.read_text(encoding="utf-8", errors="replace"), data.read_bytes())
+    return _read(path, path.read_bytes(), data.read_bytes())
 
 
-def _read(path: Path, text: str, data: bytes) -> Comtrade:
-    lines = _Lines(path, text)
+def _read(path: Path, configuration: bytes, data: bytes) -> Comtrade:
+    lines = _Lines(path, configuration)
     head = lines.next("station, device, revision", 2)
     count = lines.next("number of channels such as 8,6A,2D", 3)
     counts = re.fullmatch(r"(\d+),(\d+)A,(\d+)D", ",".join(count[:3]), re.IGNORECASE)
@@ -180,13 +182,18 @@ def _ascii(
             )
     if not rows:
         raise RecordError(f"{path}: its data are empty, wanted: a line for each sample")
-    try:
-        numbers = np.array([[field.strip() or b"nan" for field in row] for row in rows]).astype(float)
-    except ValueError as error:
-        raise RecordError(f"{path}: its data have no number where one is required: {error}") from None
+    numbers = np.array([[_number(path, k, field) for field in row] for k, row in enumerate(rows, start=1)])
     values = numbers[:, 2 : 2 + analogs]
     values[values == _MISSING_ASCII] = np.nan
     return numbers[:, 0], numbers[:, 1], values, numbers[:, 2 + analogs :] != 0.0
+
+
+def _number(path: Path, line: int, field: bytes) -> float:
+    try:
+        return float(field.strip() or "nan")
+    except ValueError:
+        got = field.decode("utf-8", "replace").strip()[:60]
+        raise RecordError(f"{path}: data line {line} has {got!r}, wanted: a number") from None
 
 
 def _binary(
@@ -199,7 +206,8 @@ def _binary(
     if not count or rest:
         raise RecordError(
             f"{path}: its data have {len(data)} bytes, allowed: a multiple of the {row.itemsize} of a "
-            f"{kind} sample of {analogs} analog and {flags} status channels"
+            f"{kind} sample of {analogs} analog and {flags} status channels; the file was cut, or the .cfg "
+            "is of another"
         )
     table = np.frombuffer(data, row)
     with np.errstate(invalid="ignore"):  # of words that are no number
@@ -217,6 +225,13 @@ def _times(
 
     By the rates a number that is not there is a missing sample, if the numbers rise.
     """
+    back = np.flatnonzero((np.diff(numbers) < 0.0) & (np.diff(stamps) < 0.0))
+    if back.size:
+        k = int(back[0]) + 1
+        raise RecordError(
+            f"{path}: the time decreases from {stamps[k - 1] * tick_s:.6g} to {stamps[k] * tick_s:.6g} s at "
+            f"sample {k + 1}, allowed: increasing times; split the file there and read each part"
+        )
     if rates[0][0] > 0.0:
         rising = np.isfinite(numbers).all() and (np.diff(numbers) >= 1.0).all()
         place = numbers - numbers[0] if rising else np.arange(len(stamps), dtype=float)

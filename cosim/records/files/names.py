@@ -38,6 +38,15 @@ _UNITS: dict[str, tuple[str, str, float]] = {
     "1": ("", "1", 1.0),
     "": ("", "", 1.0),
 }
+_TIME_UNIT = re.compile(r"(?:^|[\s_.\[(])([a-zµ]+)[\])]?\s*$", re.IGNORECASE)
+#: unit of a column of times, in small letters -> s
+_SECONDS = {
+    **dict.fromkeys(("ns", "nanoseconds"), 1e-9),
+    **dict.fromkeys(("us", "µs", "usec", "microseconds"), 1e-6),
+    **dict.fromkeys(("ms", "msec", "milliseconds"), 1e-3),
+    **dict.fromkeys(("min", "minutes"), 60.0),
+    **dict.fromkeys(("h", "hours"), 3600.0),
+}
 #: kind of measurement in the second row of the IEEE form -> quantity
 _IEEE = {
     "F": "frequency",
@@ -201,3 +210,13 @@ def _word(name: str) -> tuple[str, str] | None:
             rest = name[: match.start()] + name[match.end() :]
             return quantity, re.sub(r"([\s_.:])[\s_.:]+", r"\1", rest).strip(" _.:-")
     return None
+
+
+def time_unit_s(*cells: str) -> float:
+    """Return the unit of a column of times by the cells above it, such as ``Time [ms]``, s.
+
+    >>> time_unit_s("Time (ms)"), time_unit_s("Time", "T", "sec"), time_unit_s("time_min")
+    (0.001, 1.0, 60.0)
+    """
+    words = [match[1].casefold() for cell in cells if (match := _TIME_UNIT.search(cell.strip()))]
+    return next((_SECONDS[word] for word in words if word in _SECONDS), 1.0)

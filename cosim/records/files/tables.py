@@ -23,6 +23,7 @@ from .names import (
     other_channel,
     own_channel,
     psse_channel,
+    time_unit_s,
     with_square_brackets,
 )
 
@@ -32,15 +33,6 @@ if TYPE_CHECKING:
 WANTED = "a PMU csv, COMTRADE (.cfg, .cff), channels of PSS/E as csv, or trajectory.csv or .parquet of a run"
 _HEADER_ROWS = 12  # in which a row that begins with a time is looked for
 _TIME_CELL = re.compile(r"\s*\"?(time|t|timestamp|date ?time|zeit)(?![a-z])", re.IGNORECASE)
-_TIME_UNIT = re.compile(r"(?:^|[\s_.\[(])([a-zµ]+)[\])]?\s*$", re.IGNORECASE)
-#: unit of a column of times, in small letters -> s
-_SECONDS = {
-    **dict.fromkeys(("ns", "nanoseconds"), 1e-9),
-    **dict.fromkeys(("us", "µs", "usec", "microseconds"), 1e-6),
-    **dict.fromkeys(("ms", "msec", "milliseconds"), 1e-3),
-    **dict.fromkeys(("min", "minutes"), 60.0),
-    **dict.fromkeys(("h", "hours"), 3600.0),
-}
 _DECIMAL_COMMA = re.compile(r"\s*[-+]?\d*,\d+(?:[eE][-+]?\d+)?\s*")
 _YEARS = (1900, 2200)  # of a date of a sample
 _MOST_TEXT = 0.05  # of the samples of a column: more are no number, and it is no channel
@@ -167,8 +159,8 @@ def tables_of(source: Any, frequency_hz: float, rows: int | None = None) -> Iter
 
 
 def _csv(path: Path, frequency_hz: float, rows: int | None) -> Iterator[Table]:
-    with path.open(encoding="utf-8-sig", errors="replace", newline="") as file:
-        lines = [line for line, _ in zip(file, range(_HEADER_ROWS), strict=False)]
+    numbered = _top(path)
+    lines = [line for _, line in numbered]
     sample = next((line for line in lines if _TIME_CELL.match(line)), lines[0])
     separator = max(",;\t", key=sample.count)
     top = list(csv.reader(lines, delimiter=separator))
@@ -177,9 +169,10 @@ def _csv(path: Path, frequency_hz: float, rows: int | None) -> Iterator[Table]:
     extra = top[header + 1 : first]
     names = [cell.strip() or f"column {k + 1}" for k, cell in enumerate(top[header])]
     raws, notes = _named_columns(path, names, extra, frequency_hz)
-    clock = Clock(path, _time_unit_s(names[0], *(row[0] for row in extra if row)))
-    form = _Form(first, len(names), _spare_cells(path, top, first, len(names)), separator, decimal)
-    skipped = first
+    clock = Clock(path, time_unit_s(names[0], *(row[0] for row in extra if row)))
+    spare = _spare_cells(path, top, first, len(names))
+    form = _Form(numbered[first][0], len(names), spare, separator, decimal)
+    skipped = form.first
     for frame in _frames(path, form, rows):
         stamps = clock.seconds(frame[0], skipped)
         skipped += len(frame)
@@ -195,9 +188,16 @@ def _csv(path: Path, frequency_hz: float, rows: int | None) -> Iterator[Table]:
         yield Table(stamps, values[:, keep], [raws[k] for k in keep], [*notes, *left_out], clock.start)
 
 
+def _top(path: Path) -> list[tuple[int, str]]:
+    """Return number and text of the first lines that are not blank."""
+    with path.open(encoding="utf-8-sig", errors="replace") as file:
+        lines = zip(range(2 * _HEADER_ROWS), file, strict=False)
+        return [(k, line) for k, line in lines if line.strip()][:_HEADER_ROWS]
+
+
 @dataclass(frozen=True)
 class _Form:
-    """How the samples of a csv stand: from row `first` on, `width` cells each and `spare` empty ones."""
+    """How the samples of a csv stand: from line `first` on, `width` cells each and `spare` empty ones."""
 
     first: int
     width: int
@@ -210,16 +210,6 @@ def _decimal(separator: str, rows: Sequence[Sequence[str]]) -> str:
     """Return the decimal sign of a csv: a comma only where that does not separate cells."""
     seen = separator == "\t" and any(_DECIMAL_COMMA.fullmatch(cell) for row in rows for cell in row)
     return "," if separator == ";" or seen else "."
-
-
-def _time_unit_s(*cells: str) -> float:
-    """Return the unit of a column of times by the cells above it, such as ``Time [ms]``, s.
-
-    >>> _time_unit_s("Time (ms)"), _time_unit_s("Time", "T", "sec"), _time_unit_s("time_min")
-    (0.001, 1.0, 60.0)
-    """
-    words = [match[1].casefold() for cell in cells if (match := _TIME_UNIT.search(cell.strip()))]
-    return next((_SECONDS[word] for word in words if word in _SECONDS), 1.0)
 
 
 def _spare_cells(path: Path, rows: Sequence[Sequence[str]], first: int, width: int) -> int:
@@ -239,12 +229,14 @@ def _frames(path: Path, form: _Form, rows: int | None) -> Iterator[pd.DataFrame]
 
     width = form.width + max(form.spare, 0)
     try:
-        reader = pd.read_csv(
-            path, sep=form.separator, header=None, skiprows=form.first, names=list(range(width)),
-            index_col=False, low_memory=False, skip_blank_lines=True, encoding="utf-8-sig",
-            encoding_errors="replace", decimal=form.decimal, chunksize=rows, iterator=True,
-        )  # fmt: skip
-        with reader:
+        # opened here, because pandas miscounts the lines of other ends that it leaves out
+        with path.open(encoding="utf-8-sig", errors="replace") as file:
+            for _ in range(form.first):
+                next(file)
+            reader = pd.read_csv(
+                file, sep=form.separator, header=None, names=list(range(width)), index_col=False,
+                low_memory=False, skip_blank_lines=True, decimal=form.decimal, chunksize=rows, iterator=True,
+            )  # fmt: skip
             for frame in reader if rows else (reader.read(),):
                 if frame.empty:
                     raise RecordError(f"{path}: no samples, wanted: rows of a time and numbers")
@@ -382,7 +374,7 @@ def _frame(frame: pd.DataFrame, clock: Clock) -> Table:
         _words(frame, keys, clock.source) for keys in (("units", "unit"), ("quantity",), ("terminal",))
     )
     column, frame = _without_time(frame, clock.source)
-    clock.unit_s = _time_unit_s(str(column.name), str(units.get(column.name, "")))
+    clock.unit_s = time_unit_s(str(column.name), str(units.get(column.name, "")))
     stamps = clock.seconds(column.reset_index(drop=True))
     raws, columns = [], []
     for k, (c, name) in enumerate(

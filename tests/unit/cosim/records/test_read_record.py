@@ -355,6 +355,29 @@ def test_every_column_of_a_name_that_occurs_twice_is_read() -> None:
     np.testing.assert_array_equal(record["P (2)"], 2.0 * SWING)
 
 
+@pytest.mark.parametrize("end", [b"\n", b"\r", b"\r\r\n", b"\n\r", b"\r\r\r\n"])
+@pytest.mark.parametrize("form", ["comtrade", "csv"])
+def test_the_ends_of_lines_change_nothing(form: str, end: bytes, tmp_path: Path) -> None:
+    path = comtrade(tmp_path, "ASCII") if form == "comtrade" else ieee_csv(tmp_path / "r.csv")
+    before = read_record(path)
+    for file in tmp_path.iterdir():
+        file.write_bytes(end.join(file.read_bytes().splitlines()) + end)
+    after = read_record(path)
+    np.testing.assert_array_equal(after.values, before.values)
+    assert (after.channels, after.notes, after.start) == (before.channels, before.notes, before.start)
+
+
+def test_comtrade_data_with_a_word_or_a_second_start_are_refused(tmp_path: Path) -> None:
+    path = comtrade(tmp_path, "ASCII")
+    rows = (tmp_path / "r.dat").read_text().splitlines()
+    (tmp_path / "r.dat").write_text("\n".join([*rows[:7], rows[7].replace(",", ",x", 1), *rows[8:]]))
+    with pytest.raises(RecordError, match=r"data line 8 has 'x\d+', wanted: a number"):
+        read_record(path)
+    (tmp_path / "r.dat").write_text("\n".join([*rows[:200], *rows[150:]]))
+    with pytest.raises(RecordError, match=r"decreases from 6.63333 to 5 s at sample 201, .* split the file"):
+        read_record(path)
+
+
 @pytest.mark.parametrize("kind", ["ASCII", "FLOAT32"])
 def test_a_comtrade_file_that_ends_early_is_said(kind: str, tmp_path: Path) -> None:
     path = comtrade(tmp_path, kind)
