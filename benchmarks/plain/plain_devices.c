@@ -120,7 +120,7 @@ static void generated(const Bench *b, size_t lanes)
     const DeviceGroup g = { b->table, b->machine, b->n, b->has, NO_NOTES };
     const DeviceSignals in = { .vt = b->vt, .vc = b->vt, .vs = b->vs, .slip = b->slip, .ifd = b->ifd,
                                .pref_step = b->step, .pm = b->given, .efd = b->given };
-    TILED_DEVICES(device_run, lanes, b->n, b->device, &g, &in, b->turned, b->dx);
+    TILED(device_run, lanes, b->n, b->device, &g, &in, b->turned, b->dx);
 }
 
 /* CPU ns a device in `rounds` evaluations by hand, or generated for one device at a time or for as many as

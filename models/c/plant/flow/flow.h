@@ -255,8 +255,35 @@ static Notes notes_each(Notes notes, const double *memory, const Plan *plan, siz
     notes.most = device_decisions(index_at(row, G_DEVICE));
     return notes;
 }
+
+/* Decisions are held one device at a time. A stage of a step need not know how far they are from others: where all
+ * of a group are made as they are held, several devices go at a time and have the same bits. */
+enum { FEW_DEVICES = 4 };
+static void run_group(size_t lanes, size_t device, const DeviceGroup *g, const DeviceSignals *in, const num *x, num *dx)
+{
+    const int stage = g->notes.each == NULL && g->notes.onto == NULL;
+    if (stage && g->n >= FEW_DEVICES && devices_fit(lanes, device, g, in, x, dx)) return;
+    device_run(device, g, in, x, dx);
+}
 #else
 #define notes_each(notes, memory, plan, k) (notes)
+
+static void run_group(size_t lanes, size_t device, const DeviceGroup *g, const DeviceSignals *in, const num *x, num *dx)
+{
+    TILED(device_run, lanes, g->n, device, g, in, x, dx);
+}
+
+#if !defined PLANT_TANGENT && !defined PLANT_LANES
+int devices_fit(size_t lanes, size_t device, const DeviceGroup *g, const DeviceSignals *in, const num *x, num *dx)
+{
+    double switched = 0.0;
+    DeviceGroup made = *g;
+
+    made.notes.switched = &switched;
+    run_group(lanes, device, &made, in, x, dx);
+    return !(switched > 0.0);
+}
+#endif
 #endif
 
 static void run_groups(const real *memory, const Plan *plan, const Work *w, size_t first, size_t last,
@@ -269,7 +296,7 @@ static void run_groups(const real *memory, const Plan *plan, const Work *w, size
         const Notes notes = notes_each(of, memory, plan, k);
         const DeviceGroup group = { memory + index_at(row, G_TABLE), memory + machine, index_at(row, G_COUNT),
                                     (uint64_t)first_at(row, G_HAS), notes };
-        TILED_DEVICES(device_run, w->lanes, group.n, index_at(row, G_DEVICE), &group, signals, x + state, dx + state);
+        run_group(w->lanes, index_at(row, G_DEVICE), &group, signals, x + state, dx + state);
     }
 }
 

@@ -16,9 +16,6 @@ MachineRange machine_field_currents_4, machine_field_currents_8;
 MachineRateRange machine_derivatives_4, machine_derivatives_8;
 DeviceRun device_run_4, device_run_8;
 
-#ifdef PLANT_HELD   /* decisions are held one device at a time */
-#define TILED_DEVICES(f, lanes, count, ...) ((void)(lanes), f(__VA_ARGS__))
-#else
-#define TILED_DEVICES TILED
-#endif
+/* Runs devices with the decisions that they make; whether those are the noted ones (flow.c). */
+int devices_fit(size_t lanes, size_t device, const DeviceGroup *g, const DeviceSignals *in, const cell *x, cell *dx);
 #endif
