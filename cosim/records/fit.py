@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.optimize import lsq_linear
 from scipy.stats import norm
 
 from interarea.models.case.case import Case
@@ -188,7 +189,8 @@ def fitted(
     other = np.array([bench.power0.real, bench.power0.imag, *[0.5] * len(jumps)])
     problem = _Problem(bench, names, starts, measured, judged, noise, jumps)
     progress("with the parameters of the case")
-    y = first = problem.run(np.ones(len(names)), other)
+    other, y = _with_jumps(problem, other)
+    first = y
     kept_as_is: dict[str, str] = {}
     shown: tuple[Parameter, ...] = ()
     covariance = np.zeros((0, 0))
@@ -276,6 +278,26 @@ def _shown(slopes: Array, names: Sequence[str], kept_as_is: dict[str, str]) -> l
         )
         del places[worst]
     return places
+
+
+def _with_jumps(problem: _Problem, other: Array) -> tuple[Array, Array]:
+    """Return `other` with the instants of the jumps fitted to the parameters of the case, and that run."""
+    problem, u = replace(problem, names=(), starts=np.ones(0)), np.ones(0)
+    y = problem.run(u, other)
+    if not problem.jumps:
+        return other, y
+    slopes = problem.slopes(u, other, y)[:, 2:]
+    for _ in range(_MOST_STEPS):
+        shares = other[2:]
+        step = lsq_linear(slopes, -problem.rest(y), (-shares - _STEP, 1.0 - shares + _STEP)).x
+        reached = np.concatenate([other[:2], np.clip(shares + step, 0.0, 1.0)])
+        moved = problem.run(u, reached)
+        if not np.sum(problem.rest(moved) ** 2) < np.sum(problem.rest(y) ** 2):
+            break
+        other, y = reached, moved
+        if np.max(np.abs(step)) < _CLOSE:
+            break
+    return other, y
 
 
 def _minimised(

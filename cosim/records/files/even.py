@@ -16,9 +16,11 @@ _MOST_LOST = 0.2  # of a channel's samples
 _LEAST_POINTS = 8
 _NAMED = 3  # channels with missing samples that are named
 
+Places = npt.NDArray[np.intp]
 
-def even_times(source: str, stamps: Array) -> tuple[npt.NDArray[np.intp], float, list[str]]:
-    """Return the place of each sample on an even axis, its spacing in s, and notes.
+
+def even_times(source: str, stamps: Array) -> tuple[Places, Places, float, list[str]]:
+    """Return which samples are used, their places on an even axis, its spacing in s, and notes.
 
     stamps : (points,), s. Stamps are rounded in files: the spacing is that of the line through them.
 
@@ -53,22 +55,29 @@ def even_times(source: str, stamps: Array) -> tuple[npt.NDArray[np.intp], float,
             )
         step = float(np.polyfit(counted, stamps, 1)[0])
     place = np.round((stamps - stamps[0]) / step).astype(np.intp)
+    away = np.abs((stamps - stamps[0]) / step - place)
+    used = _nearest(place, away)
     notes = []
-    off = np.abs((stamps - stamps[0]) / step - place) > _ROUNDED
-    if off.any():
-        notes.append(
-            f"{int(off.sum())} time stamps deviate from the even spacing of {step:.6g} s: moved to the "
-            "nearest"
-        )
-    twice = int(np.sum(np.diff(place) == 0))
+    off = int(np.sum(away[used] > _ROUNDED))
+    if off:
+        notes.append(f"{off} time stamps deviate from the even spacing of {step:.6g} s: moved to the nearest")
+    twice = int(np.sum(steps == 0.0))
     if twice:
         notes.append(f"{twice} samples occur twice: the last of each is used")
-    return place, step, notes
+    between = len(stamps) - len(used) - twice
+    if between > 0:
+        notes.append(f"{between} samples lie between those of the even spacing: left out")
+    return used, place[used], step, notes
 
 
-def longest_piece(
-    source: str, place: npt.NDArray[np.intp], step_s: float, fill_s: float
-) -> tuple[slice, list[str]]:
+def _nearest(place: Places, away: Array) -> Places:
+    """Return of the samples at each place the nearest to it, the last of several, as at an event of a run."""
+    order = np.lexsort((-np.arange(len(place)), away, place))
+    _, first = np.unique(place[order], return_index=True)
+    return np.asarray(order[first], dtype=np.intp)
+
+
+def longest_piece(source: str, place: Places, step_s: float, fill_s: float) -> tuple[slice, list[str]]:
     """Return the samples of the longest piece without a gap of more than `fill_s`, and notes."""
     gaps = np.flatnonzero(np.diff(place) * step_s > max(fill_s, 1.5 * step_s))
     lost = int(np.sum(np.maximum(np.diff(place) - 1, 0)))
@@ -94,7 +103,7 @@ def longest_piece(
 
 def on_axis(
     source: str,
-    place: npt.NDArray[np.intp],
+    place: Places,
     values: Array,
     raws: Sequence[Raw],
     step_s: float,

@@ -186,9 +186,9 @@ def _record(
     values, raws, flagged = _without_flagged(values, raws)
     _check_scales(name, values, raws)
     flagged += [*coded, *_without_dropouts(values, raws), *_without_units(raws)]
-    place, step_s, remark = even_times(name, table.stamps)
+    used, place, step_s, remark = even_times(name, table.stamps)
     piece, cut = longest_piece(name, place, step_s, fill_s)
-    values, raws, filled = on_axis(name, place[piece], values[piece], raws, step_s, fill_s)
+    values, raws, filled = on_axis(name, place[piece], values[used][piece], raws, step_s, fill_s)
     notes = [*table.notes, *misfits, *flagged, *remark, *cut, *filled]
     if rate_hz is not None:
         values, step_s, resampling = resampled(values, step_s, rate_hz, name)

@@ -163,6 +163,18 @@ def test_a_record_of_a_fault_gives_parameters_within_a_thousandth() -> None:
         assert p.value == pytest.approx(truth[p.name], rel=0.001)
 
 
+@pytest.mark.slow
+def test_a_record_of_a_fault_between_two_frames_agrees_with_its_own_machine(tmp_path: Path) -> None:
+    """The fault ends between two points of the run; without parameters too the instants are fitted."""
+    fault = [{"kind": "bus_fault", "bus": 9, "start_s": 1.004, "end_s": 1.1333333, "x_pu": 0.01}]
+    made = ia.simulate({"case": CASE, "stop_s": 4.0, "controller": "none", "show": PLACES, "event": fault})
+    made.save(tmp_path)
+    result = ia.fit(tmp_path / "trajectory.parquet", CASE, "G1", rest_s=0.9)
+    assert max(result.misfit) < 0.002
+    off = ia.load_case(CASE).with_changes({"machines": {"G1": {"H": 8.0}}})
+    assert ia.fit(tmp_path / "trajectory.parquet", off, "G1", rest_s=0.9).misfit[0] > 0.02
+
+
 @pytest.mark.parametrize("middle_hz", [60.0, 0.0])
 def test_a_frequency_and_its_deviation_add_up_to_the_same_angle(middle_hz: float) -> None:
     """0.1 Hz for 2 s: 0.2 turns."""

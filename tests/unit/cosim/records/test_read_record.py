@@ -367,6 +367,20 @@ def test_the_ends_of_lines_change_nothing(form: str, end: bytes, tmp_path: Path)
     assert (after.channels, after.notes, after.start) == (before.channels, before.notes, before.start)
 
 
+def test_a_sample_between_two_moments_takes_the_place_of_none(tmp_path: Path) -> None:
+    """As where a run has an event between two of its steps: it would move the jump by one step."""
+    values = np.where(TIME > 5.005, 1.0, 0.0) + 0.1 * SWING / np.abs(SWING).max()
+    even = read_record(table_csv(tmp_path / "a.csv", "Time [s],P [MW]", TIME, values))
+    k = int(np.flatnonzero(TIME > 5.005)[0])
+    for late in (0.2, 0.4):
+        time = np.insert(TIME, k, TIME[k - 1] + late / RATE)
+        path = table_csv(tmp_path / "b.csv", "Time [s],P [MW]", time, np.insert(values, k, values[k]))
+        record = read_record(path)
+        assert "1 samples lie between those of the even spacing: left out" in record.notes
+        assert not any("twice" in note or "moved" in note for note in record.notes)
+        np.testing.assert_array_equal(record.values, even.values)
+
+
 def test_comtrade_data_with_a_word_or_a_second_start_are_refused(tmp_path: Path) -> None:
     path = comtrade(tmp_path, "ASCII")
     rows = (tmp_path / "r.dat").read_text().splitlines()
