@@ -43,6 +43,7 @@ typedef struct {
     double *end, *slope, *at; /* where it ends: states, their slopes; another point      */
     double *bend;             /* of the quartic between them */
     const LimitedRun *run;
+    int early, tried;         /* to hold limiters from the stage on in which one switches; whether they were held */
     BlockLimits limits;
     long count;               /* of evaluations after the first try with limiters held */
     BlockMessage *message;
@@ -61,7 +62,12 @@ static inline BlockStatus limited_stage(void *context, RungeKuttaStage stage, do
 
     if (s->limits.mode != LIMITS_HOLD) s->limits.mode = stage == RK_BEGIN ? LIMITS_NOTE : LIMITS_WATCH;
     s->limits.stage = 1;
-    const BlockStatus status = limited_flow(s, into, x, k);
+    BlockStatus status = limited_flow(s, into, x, k);
+    if (status == BLOCK_OK && s->early && s->limits.alone && s->limits.switched && !s->tried) {
+        s->limits.mode = LIMITS_HOLD;   /* as in the stages before */
+        s->tried = 1;
+        status = limited_flow(s, into, x, k);
+    }
     s->limits.stage = 0;
     return status;
 }
@@ -91,7 +97,9 @@ static inline BlockStatus limited_try(LimitedStep *s, double h, double *overrun)
     BlockStatus status;
 
     s->limits.mode = LIMITS_HOLD;
-    if ((status = runge_kutta_rest(limited_stage, s, s->n, h, s->x, s->work)) != BLOCK_OK) return status;
+    status = s->tried ? BLOCK_OK : runge_kutta_rest(limited_stage, s, s->n, h, s->x, s->work);
+    if (status != BLOCK_OK) return status;
+    s->tried = 0;
     memcpy(s->end, s->x, s->n * sizeof(double));
     runge_kutta_move(s->n, h, s->end, s->work);
     memcpy(s->at, s->end, s->n * sizeof(double));
@@ -322,6 +330,7 @@ static inline BlockStatus limited_again(LimitedStep *s, double h, double *x)
     BlockStatus status;
 
     memcpy(s->x, x, size);
+    s->early = 0;
     for (int count = 0; count < MOST && s->done < h; ++count) {
         double overrun, landed;
         if (count > 0) {
@@ -393,10 +402,11 @@ static inline BlockStatus limited_step(LimitedFlow *flow, void *context, size_t 
                                        double *work, const LimitedRun *run, BlockMessage *message)
 {
     LimitedStep s = limited_of(flow, context, n, t, work, message);
+    s.early = limited_affords(run, t, h);
     const BlockStatus status = runge_kutta_stages(limited_stage, &s, n, h, x, work);
 
     if (status != BLOCK_OK) return status;
-    if (s.limits.switched && limited_affords(run, t, h)) return limited_switched(&s, h, x, run);
+    if (s.limits.switched && s.early) return limited_switched(&s, h, x, run);
     runge_kutta_move(n, h, x, work);
     return BLOCK_OK;
 }

@@ -80,6 +80,7 @@ static BlockStatus derivatives(ClosedLoop *l, size_t k, double t, const double *
     if (whole != NULL) {
         whole->switched = own.switched;
         whole->worst = own.worst;
+        whole->alone |= own.alone;
     }
     return status;
 }

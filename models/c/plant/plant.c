@@ -101,12 +101,13 @@ static BlockStatus not_started(BlockMessage *message)
 }
 
 /* Ports start where their last voltages point to. Plants without them differ in what was switched alone, so that
- * those side by side can read one memory. */
-static void keep_time(const Block *b, double t)
+ * those side by side can read one memory. Returns whether the plant goes by itself (block_group_fits). */
+static int keep_time(const Block *b, double t)
 {
     Plan own;
     const Plan *plan = plan_in(b->memory, &own);
     if (plan->n_port > 0) b->memory[plan->warm + (plan->folded > 0 ? W_TIME : F_TIME)] = t;
+    return plan->n_port > 0 && plan->folded == 0;
 }
 
 BlockStatus block_derivatives(Block *b, double t, const double *x, const double *u, double *dx,
@@ -118,8 +119,9 @@ BlockStatus block_derivatives(Block *b, double t, const double *x, const double 
     size_t stuck;
 
     if (!(b->memory[H_READY] == READY)) return not_started(message);
-    keep_time(b, t);
+    const int alone = keep_time(b, t);
     if (limits != NULL) {
+        limits->alone = alone;
         notes.words = b->notes;
         notes.switched = limits->mode == LIMITS_WATCH ? &switched : NULL;
         notes.worst = &limits->worst;
@@ -141,7 +143,7 @@ BlockStatus block_outputs(Block *b, double t, const double *x, const double *u, 
     Plan own;
 
     if (!(b->memory[H_READY] == READY)) return not_started(message);
-    keep_time(b, t);
+    (void)keep_time(b, t);
     size_t stuck = plant_outputs(b->memory, places_of(b), b->lanes, x, y, b->scratch, NULL);
     if (b->w != NULL && stuck == 0)
         stuck = plant_locals(b->memory, places_of(b), b->lanes, x, u, b->w, b->scratch,
@@ -153,7 +155,7 @@ BlockStatus block_directional(Block *b, double t, const double *x, const double 
                               const double *vu, double *vdx, double *vy, BlockMessage *message)
 {
     if (!(b->memory[H_READY] == READY)) return not_started(message);
-    keep_time(b, t);
+    (void)keep_time(b, t);
     const size_t stuck = plant_directional(b->memory, places_of(b), &b->layout, x, u, vx, vu, vdx, vy, b->scratch);
     return stuck == 0 ? BLOCK_OK : unsolved(b, stuck, t, message);
 }
