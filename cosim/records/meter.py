@@ -183,13 +183,20 @@ def _ring_down(
             return Swing(mode.frequency_hz, UNDECIDED, size, (), shape, why)
         why = f"rings down; misfit {fit.error:.1%} of the largest value"
         estimate = _with_spread(mode.pole, spread[k])
-        low, high = estimate.damping_interval
-        if not 0.5 * (high - low) <= _ANY_RATIO:
-            why += f"; damping ratio not determined: {low:.3g} to {high:.3g}"
+        if any_ratio := _any_ratio(estimate):
+            why += any_ratio
             return Swing(mode.frequency_hz, UNDECIDED, size, (), shape, why)
         return Swing(mode.frequency_hz, MODAL, size, (estimate,), shape, why)
 
     return [swing(*each) for each in seen], fit.error
+
+
+def _any_ratio(estimate: Estimate) -> str:
+    """Return what is said of an interval that excludes hardly any damping ratio; "" of another."""
+    low, high = estimate.damping_interval
+    if 0.5 * (high - low) <= _ANY_RATIO:
+        return ""
+    return f"; damping ratio not determined: {low:.3g} to {high:.3g}"
 
 
 def _stands(pole: complex) -> bool:
@@ -279,6 +286,8 @@ def _of_mode(swings: Swings, mode: AmbientMode, forced_hz: list[float]) -> Swing
     if not mode.estimates[0].damping_ratio >= LEAST_DAMPING:
         why += f"; damped by less than {LEAST_DAMPING:g}: it may be a forced line of varying amplitude"
         return Swing(f, UNDECIDED, size, (), _shape(swings, amplitudes), why)
+    if any_ratio := _any_ratio(mode.estimates[0]):
+        return Swing(f, UNDECIDED, size, (), _shape(swings, amplitudes), why + any_ratio)
     if any(abs(f - forced) < 0.1 * f for forced in forced_hz):
         why += "; near a forced line, which was removed first: its interval may be too narrow"
     return Swing(f, MODAL, size, mode.estimates, _shape(swings, amplitudes), why)

@@ -398,10 +398,12 @@ def _without_time(frame: pd.DataFrame, source: object) -> tuple[pd.Series[Any], 
     times = [k for k, c in enumerate(frame.columns) if _TIME_CELL.match(str(c)) or str(c) == TIME]
     if times:
         column, frame = frame.iloc[:, times[0]], frame.iloc[:, np.arange(frame.shape[1]) != times[0]]
-    elif frame.index.dtype.kind in "fM" or str(frame.index.name) == TIME:
+    elif frame.index.dtype.kind in "fMm" or str(frame.index.name) == TIME:
         column = frame.index.to_series()
     else:
         raise RecordError(f"{source}: no column Time and no index of times, wanted: one of them")
+    if column.dtype.kind == "m":
+        column = column.dt.total_seconds().rename(TIME)
     if wrong := [str(c.name) for c in (column, *(c for _, c in frame.items())) if c.dtype.kind == "c"]:
         raise RecordError(
             f"{source}: {wrong[0]!r} has complex numbers, wanted: real ones, as magnitude and angle"

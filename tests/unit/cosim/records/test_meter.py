@@ -16,8 +16,9 @@ from command_line import invoke
 
 import interarea as ia
 from interarea.cosim.records import ambient as methods
-from interarea.cosim.records.meter import meter
+from interarea.cosim.records.meter import _of_mode, meter
 from interarea.cosim.records.record import Record, RecordError
+from interarea.cosim.records.signals import swings_of
 
 sys.path.append(str(Path(__file__).parents[4] / "benchmarks" / "records"))
 from ambient_coverage import LinearRecords
@@ -253,6 +254,16 @@ def test_the_command_prints_a_table_or_json_and_refuses_in_one_line(
     code, _, err = invoke(["meter", str(tmp_path / "x.csv")], monkeypatch)
     assert code == 2
     assert "no row begins with Time" in err
+
+
+def test_an_ambient_mode_whose_damping_could_be_any_is_undecided() -> None:
+    swings = swings_of(ambient(1, 120.0), (0.1, 2.5))
+    shape = np.ones(swings.combined.shape[1], complex)
+    for half, kind in ((0.9, "modal"), (1.1, "undecided"), (np.nan, "undecided")):
+        estimate = methods.Estimate(methods.SUBSPACE, 0.5, (0.4, 0.6), 0.1, (0.1 - half, 0.1 + half))
+        swing = _of_mode(swings, methods.AmbientMode(-0.3 + 3.1j, 0.1, shape, 8, (estimate,)), [])
+        assert (swing.kind, len(swing.estimates)) == (kind, int(kind == "modal"))
+        assert ("damping ratio not determined" in swing.why) == (kind != "modal")
 
 
 def test_poles_nearer_than_3_percent_are_one_only_with_one_shape() -> None:

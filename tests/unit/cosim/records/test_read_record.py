@@ -381,6 +381,13 @@ def test_a_sample_between_two_moments_takes_the_place_of_none(tmp_path: Path) ->
         np.testing.assert_array_equal(record.values, even.values)
 
 
+@pytest.mark.parametrize("as_index", [True, False])
+def test_durations_are_times(as_index: bool) -> None:
+    frame = pd.DataFrame({"Time": pd.to_timedelta(TIME, unit="s"), "P [MW]": SWING})
+    record = read_record(frame.set_index("Time").rename_axis(None) if as_index else frame)
+    assert record.step_s == pytest.approx(1.0 / RATE, rel=1e-6)
+
+
 def test_comtrade_data_with_a_word_or_a_second_start_are_refused(tmp_path: Path) -> None:
     path = comtrade(tmp_path, "ASCII")
     rows = (tmp_path / "r.dat").read_text().splitlines()
