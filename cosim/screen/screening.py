@@ -94,15 +94,17 @@ class Screening:
         end = round(START_S + self.clearing_s, 9)
         return {"kind": "bus_fault", "bus": place, "start_s": START_S, "end_s": end}
 
-    def sweep(self, *, clearing: bool = False) -> Sweep:
+    def sweep(self, *, clearing: bool = False, case: Case | None = None) -> Sweep:
         """Return the sweep over all places, outages and controllers; `clearing`: that of the clearing times.
+
+        case : the grid where it is already loaded.
 
         Raises
         ------
         SweepError, ScenarioError, CaseError : a place, an outage or a value that does not fit.
         """
         path = load_scenario({"case": self.case, "stop_s": 1.0}).case_path
-        case = load_case(path)
+        case = case or load_case(path)
         if not self.stop_s > START_S + self.clearing_s:
             least = START_S + self.clearing_s
             raise SweepError(f"the run ends at {self.stop_s:g} s, allowed: after the fault, {least:g} s")

@@ -69,10 +69,11 @@ def choose_step(
     None where the screening prescribes its step, has fewer than `FROM` runs or a grid without longer steps.
     Parameters and errors as of `run_screening`.
     """
-    sweep = screening.sweep()
-    if screening.solver_step_s is not None or sweep.size < FROM:
+    if screening.solver_step_s is not None:
         return None
     case = load_case(load_scenario({"case": screening.case, "stop_s": 1.0}).case_path)
+    if screening.sweep(case=case).size < FROM:
+        return None
     own_s = _own_step_s(case)
     longer = [step for step in LONGER_S if step > own_s]
     if not longer:
@@ -90,7 +91,7 @@ def choose_step(
 
     def results(step_s: float) -> pd.DataFrame:
         part = folder / STEPS / f"{1000 * step_s:g}_ms"
-        run_sweep(replace(few, solver_step_s=step_s).sweep(), part, **options)
+        run_sweep(replace(few, solver_step_s=step_s).sweep(case=case), part, **options)
         return read_rows(part).set_index(kind)
 
     names = tuple(f"{kind} {place}" for place in places)
