@@ -66,6 +66,7 @@ static BlockStatus drawn_step(Flow *f, double h, int known)
         double into = 0.0;
         for (size_t j = 0; j < i; ++j) into += m->a[i - 1][j];
         drawn_sum(l->n_x, i, h, m->a[i - 1], l->state, l->work, at);
+        limits.stage = 1 + (int)i;
         status = stage_flow(f, h * into, &limits, at, l->work + i * l->n_x);
     }
     if (status != BLOCK_OK) return status;

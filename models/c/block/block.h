@@ -47,7 +47,7 @@ typedef struct {
     LimitMode mode;
     int switched;
     double worst;   /* LIMITS_HOLD: set to by how much a limiter is beyond its range at least, if it is more */
-    int stage;      /* a stage of a step asks: far below the step's own error is close enough */
+    int stage;      /* from 1, a stage of a step asks: far below the step's own error is close enough */
     int alone;      /* set to 1 by a block that never goes side by side with others (block_group.h): how often it is
                      * asked may then change its last bits */
     double *onto;   /* LIMITS_HOLD: states, of which those at a limit are put onto it, or null */

@@ -61,7 +61,7 @@ static inline BlockStatus limited_stage(void *context, RungeKuttaStage stage, do
     const double into = stage == RK_BEGIN ? 0.0 : stage == RK_END ? h : h / 2.0;
 
     if (s->limits.mode != LIMITS_HOLD) s->limits.mode = stage == RK_BEGIN ? LIMITS_NOTE : LIMITS_WATCH;
-    s->limits.stage = 1;
+    s->limits.stage = 1 + (int)stage;
     BlockStatus status = limited_flow(s, into, x, k);
     if (status == BLOCK_OK && s->early && s->limits.alone && s->limits.switched && !s->tried) {
         s->limits.mode = LIMITS_HOLD;   /* as in the stages before */

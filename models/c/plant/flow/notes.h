@@ -12,7 +12,7 @@ typedef struct {
     double *each;     /* held: by how much each decision is overrun, `most` of every device, or null */
     size_t most;
     size_t second;
-    int stage;        /* a stage of a step asks, whose own error is larger than what ports leave (PORT_STEP) */
+    int stage;        /* from 1, a stage of a step asks, whose own error is larger than what ports leave (PORT_STEP) */
 } Notes;
 /* Of several scenarios side by side: what their ports keep (port.h), and in which it is brought up to date. Alone that
  * lies in memory, and this is null. */

@@ -46,7 +46,7 @@ static Warm stage_warm(const BlockGroup *g, size_t at, flag runs)
 static BlockStatus lane_flow(void *context, RungeKuttaStage stage, num h, const num *x, num *k)
 {
     const BlockGroup *g = context;
-    const Notes notes = { lanes_of(g->notes), stage == RK_BEGIN ? NULL : lanes_of(g->switched), NULL, NULL, NULL, 0, 0, 1 };
+    const Notes notes = { lanes_of(g->notes), stage == RK_BEGIN ? NULL : lanes_of(g->switched), NULL, NULL, NULL, 0, 0, 1 + (int)stage };
     const size_t at = stage == RK_BEGIN ? 0 : stage == RK_END ? 2 : 1;
     const Warm warm = stage_warm(g, at, num_above(h, NUM(0.0)));
 

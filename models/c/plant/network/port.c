@@ -267,6 +267,7 @@ static int fold(double *memory, const Plan *plan, size_t lanes, const double *v,
     fold_columns(plan, lanes, columns, n, memory + plan->port_own_re, memory + plan->port_own_im, 1, z + 2 * n * n, space);
     for (size_t k = W_FIRST; k <= W_THIRD; ++k) memory[plan->warm + k] = INFINITY;
     for (size_t p = 0; p < n; ++p) memory[plan->warm + W_V + 8 * n + p] = INFINITY;
+    for (size_t k = 0; k < 2 * PORT_STAGES * n; ++k) memory[plan->warm + W_V + 9 * n + k] = 0.0;
     memory[plan->warm + W_RATIO] = memory[H_PORT_READY] = 1.0;
     return 1;
 }
@@ -316,8 +317,8 @@ static size_t newton_from_many(const Problem *s, const double *last, double *wor
     return stuck;
 }
 
-size_t port_solve(double *memory, const Plan *plan, size_t lanes, PortCare care, const double *x, const double *sine,
-                  const double *cosine, double *e_re, double *e_im, const double *linear, PortWork w, double *work)
+size_t port_solve(double *memory, const Plan *plan, size_t lanes, PortCare care, int stage, const double *x,
+                  const double *sine, const double *cosine, double *e_re, double *e_im, const double *linear, PortWork w, double *work)
 {
     const size_t n = plan->n_port;
     double *b = work, *more = b + 2 * n, *own = more + 8 * n, *warm = memory + plan->warm;
@@ -327,10 +328,10 @@ size_t port_solve(double *memory, const Plan *plan, size_t lanes, PortCare care,
     const int keep = care == PORT_STEP;
 
     port_given(memory, plan, lanes, e_re, e_im, linear, b, more);
-    int failed = port_iterate(memory, plan, lanes, care, warm, keep, b, x, sine, cosine, e_re, e_im, w, more);
+    int failed = port_iterate(memory, plan, lanes, care, stage, warm, keep, b, x, sine, cosine, e_re, e_im, w, more);
     if (failed && fold_here(&problem, last, more)) {
         port_given(memory, plan, lanes, e_re, e_im, linear, b, more);
-        failed = port_iterate(memory, plan, lanes, care, warm, keep, b, x, sine, cosine, e_re, e_im, w, more);
+        failed = port_iterate(memory, plan, lanes, care, stage, warm, keep, b, x, sine, cosine, e_re, e_im, w, more);
     }
     if (failed) {
         if (linear == NULL) {

@@ -115,9 +115,16 @@ static inline void port_given(const real *memory, const Plan *plan, size_t lanes
 
 static const double PORT_SAME_S = 1e-9;   /* times so close are one */
 
-/* Where the last solutions point to at this time, along a parabola, a line, or where they stand, into v. Where
- * `keep` says so, what a step done again has seen later is forgotten. */
-static inline void port_predict(num *warm, size_t n, flag keep, const num *b, num *v)
+/* How far the ports, n numbers, were from where the solutions before pointed to at this stage of the step before, as they
+ * nearly are again: what the states of a stage are off the motion is smooth from step to step. Null: outside a step. */
+static inline num *port_missed(num *warm, size_t n, int stage)
+{
+    return stage > 0 && stage <= PORT_STAGES ? warm + W_V + 4 * n + n / 2 + n * (size_t)(stage - 1) : NULL;
+}
+
+/* Where the last solutions point to at this time, along a parabola, a line, or where they stand, into `aim`, and where
+ * they are expected to be into v. Where `keep` says so, what a step done again has seen later is forgotten. */
+static inline void port_predict(num *warm, size_t n, flag keep, const num *b, const num *missed, num *aim, num *v)
 {
     num *last = warm + W_V, *r0 = last + n, *r1 = r0 + n, *r2 = r1 + n, *times = warm + W_FIRST;
     const num t = warm[W_TIME], never = NUM(INFINITY);
@@ -140,15 +147,18 @@ static inline void port_predict(num *warm, size_t n, flag keep, const num *b, nu
     const num line = num_pick(ahead, -num_ratio(a, h), NUM(0.0));
     const num w1 = num_pick(bent, -num_ratio(a * (a + h + g), h * g), line);
     const num w2 = num_pick(bent, num_ratio(a * (a + h), g * (h + g)), NUM(0.0));
-    for (size_t k = 0; k < n; ++k)
-        v[k] = num_pick(known, b[k] + (r0[k] + w1 * (r1[k] - r0[k]) + w2 * (r2[k] - r0[k])), last[k]);
+    for (size_t k = 0; k < n; ++k) {
+        aim[k] = num_pick(known, b[k] + (r0[k] + w1 * (r1[k] - r0[k]) + w2 * (r2[k] - r0[k])), last[k]);
+        v[k] = missed == NULL ? aim[k] : num_pick(known, aim[k] + missed[k], aim[k]);
+    }
 }
 
 /* The solution v at this time becomes the newest. */
-static inline void port_keep(num *warm, size_t n, flag keep, const num *b, const num *v)
+static inline void port_keep(num *warm, size_t n, flag keep, const num *b, const num *aim, const num *v, num *missed)
 {
     num *last = warm + W_V, *r0 = last + n, *r1 = r0 + n, *r2 = r1 + n, *times = warm + W_FIRST;
     const num t = warm[W_TIME];
+    const flag known = num_above(NUM(INFINITY), times[0]);
     const flag moves = keep & flag_not(num_reaches(NUM(PORT_SAME_S), num_size(t - times[0])));
 
     times[2] = num_pick(moves, times[1], times[2]);
@@ -159,6 +169,7 @@ static inline void port_keep(num *warm, size_t n, flag keep, const num *b, const
         r1[k] = num_pick(moves, r0[k], r1[k]);
         r0[k] = num_pick(keep, v[k] - b[k], r0[k]);
         last[k] = num_pick(keep, v[k], last[k]);
+        if (missed != NULL) missed[k] = num_pick(keep, num_pick(known, v[k] - aim[k], NUM(0.0)), missed[k]);
     }
 }
 
@@ -177,9 +188,10 @@ static inline void port_angles(const real *memory, const Plan *plan, num *warm, 
 
 /* Fills the injected currents e[n_machine..] and w from b. True where that failed and port.c must help; the memory of
  * what was is changed only where `keep` says so. Steps go on until the next would move less than is asked for: how
- * much closer one brings is known from the solution before, so that a good start needs one. work: 4 n_port. */
-static inline flag port_iterate(const real *memory, const Plan *plan, size_t lanes, PortCare care, num *warm, flag keep,
-                                const num *b, const num *x, const num *sine, const num *cosine, num *e_re, num *e_im,
+ * much closer one brings is known from the solution before, so that a good start needs one. stage: that of a step, from
+ * 1, or 0. work: 6 n_port. */
+static inline flag port_iterate(const real *memory, const Plan *plan, size_t lanes, PortCare care, int stage, num *warm,
+                                flag keep, const num *b, const num *x, const num *sine, const num *cosine, num *e_re, num *e_im,
                                 PortWork w, num *work)
 {
     enum { MOST = 16 };
@@ -187,14 +199,15 @@ static inline flag port_iterate(const real *memory, const Plan *plan, size_t lan
     const double rounding = 1e-13, slow_from = 0.3, least = 1e-4, margin = 4.0, decay = 1.1;
     const size_t n = plan->n_port, m = plan->n_machine;
     const real *slope = memory + plan->port_slope;
-    num *v = w.v_re, *rest = work, *next = work + 2 * n, before = NUM(INFINITY), known = warm[W_RATIO], scale = NUM(1.0);
+    num *v = w.v_re, *rest = work, *next = work + 2 * n, *aim = work + 4 * n, before = NUM(INFINITY), known = warm[W_RATIO], scale = NUM(1.0);
+    num *missed = port_missed(warm, 2 * n, stage);
     flag open = num_above(NUM(memory[H_PORT_READY]), NUM(0.5)), failed = flag_not(open);
 
     for (size_t p = 0; p < 2 * n; ++p) {
         scale = num_larger(scale, num_size(b[p]));
         rest[p] = NUM(0.0);
     }
-    port_predict(warm, 2 * n, keep, b, v);
+    port_predict(warm, 2 * n, keep, b, missed, aim, v);
     port_angles(memory, plan, warm, NULL, w.kept);
     for (int count = 1; count <= MOST && flag_any(open); ++count) {
         num moved = NUM(0.0);
@@ -236,7 +249,7 @@ static inline flag port_iterate(const real *memory, const Plan *plan, size_t lan
     }
     port_inject(memory, plan, ports_at_buses(memory, plan), DC_NOTHING, flag_all(), x, sine, cosine, w, e_re, e_im);
     keep = keep & flag_not(failed);
-    port_keep(warm, 2 * n, keep, b, v);
+    port_keep(warm, 2 * n, keep, b, aim, v, missed);
     port_angles(memory, plan, warm, &keep, w.kept);
     warm[W_RATIO] = num_pick(keep, known, warm[W_RATIO]);
     return failed;
@@ -262,8 +275,8 @@ static inline void port_voltages(const double *w_re, const double *w_im, size_t 
 /* port.c: as port_iterate, with slopes where the voltages are and damped Newton steps where that fails. Returns n_port,
  * or the port farthest from a solution. linear: of few ports their voltages without what they inject; null: of
  * the EMFs' columns. w: arrays of PortWork, which lie one after the other. work: PORT_NEWTON n_port + 8 n_port^2. */
-size_t port_solve(double *memory, const Plan *plan, size_t lanes, PortCare care, const double *x, const double *sine,
-                  const double *cosine, double *e_re, double *e_im, const double *linear, PortWork w, double *work);
+size_t port_solve(double *memory, const Plan *plan, size_t lanes, PortCare care, int stage, const double *x,
+                  const double *sine, const double *cosine, double *e_re, double *e_im, const double *linear, PortWork w, double *work);
 /* The network folded with the slopes at rest; others, where they are wanted, are kept for `wait` seconds.
  * work: 2 n_machine + 6 n_port + 8 n_port^2. */
 void port_fold_at_rest(double *memory, const Plan *plan, size_t lanes, double wait, double *work);
