@@ -124,7 +124,8 @@ static inline num *port_missed(num *warm, size_t n, int stage)
 
 /* Where the last solutions point to at this time, along a parabola, a line, or where they stand, into `aim`, and where
  * they are expected to be into v. Where `keep` says so, what a step done again has seen later is forgotten. */
-static inline void port_predict(num *warm, size_t n, flag keep, const num *b, const num *missed, num *aim, num *v)
+static inline void port_predict(num *restrict warm, size_t n, flag keep, const num *restrict b, const num *missed,
+                                num *restrict aim, num *restrict v)
 {
     num *last = warm + W_V, *r0 = last + n, *r1 = r0 + n, *r2 = r1 + n, *times = warm + W_FIRST;
     const num t = warm[W_TIME], never = NUM(INFINITY);
@@ -154,7 +155,8 @@ static inline void port_predict(num *warm, size_t n, flag keep, const num *b, co
 }
 
 /* The solution v at this time becomes the newest. */
-static inline void port_keep(num *warm, size_t n, flag keep, const num *b, const num *aim, const num *v, num *missed)
+static inline void port_keep(num *restrict warm, size_t n, flag keep, const num *restrict b, const num *restrict aim,
+                             const num *restrict v, num *missed)
 {
     num *last = warm + W_V, *r0 = last + n, *r1 = r0 + n, *r2 = r1 + n, *times = warm + W_FIRST;
     const num t = warm[W_TIME];
@@ -164,9 +166,11 @@ static inline void port_keep(num *warm, size_t n, flag keep, const num *b, const
     times[2] = num_pick(moves, times[1], times[2]);
     times[1] = num_pick(moves, times[0], times[1]);
     times[0] = num_pick(keep, t, times[0]);
-    for (size_t k = 0; k < n; ++k) {
+    for (size_t k = n; flag_any(moves) && k-- > 0;) {
         r2[k] = num_pick(moves, r1[k], r2[k]);
         r1[k] = num_pick(moves, r0[k], r1[k]);
+    }
+    for (size_t k = 0; flag_any(keep) && k < n; ++k) {
         r0[k] = num_pick(keep, v[k] - b[k], r0[k]);
         last[k] = num_pick(keep, v[k], last[k]);
         if (missed != NULL) missed[k] = num_pick(keep, num_pick(known, v[k] - aim[k], NUM(0.0)), missed[k]);
@@ -184,6 +188,40 @@ static inline void port_angles(const real *memory, const Plan *plan, num *warm, 
         if (keep == NULL) kept[DC_ANGLE] = last[p];
         else last[p] = num_pick(*keep, kept[DC_ANGLE], last[p]);
     }
+}
+
+/* What the slopes d leave of the injected currents, where `open`, and the currents from that. re, im: of the ports. */
+static inline void port_left(const real *restrict d, size_t n, flag open, const num *restrict v, const num *restrict re,
+                             const num *restrict im, num *restrict rest)
+{
+    for (size_t p = 0; p < n; ++p, d += 4) {
+        rest[p] = num_pick(open, re[p] - (d[0] * v[p] + d[1] * v[n + p]), rest[p]);
+        rest[n + p] = num_pick(open, im[p] - (d[2] * v[p] + d[3] * v[n + p]), rest[n + p]);
+    }
+}
+
+static inline void port_whole(const real *restrict d, size_t n, const num *restrict v, const num *restrict rest,
+                              num *restrict re, num *restrict im)
+{
+    for (size_t p = 0; p < n; ++p, d += 4) {
+        re[p] = rest[p] + (d[0] * v[p] + d[1] * v[n + p]);
+        im[p] = rest[n + p] + (d[2] * v[p] + d[3] * v[n + p]);
+    }
+}
+
+/* The voltages become the next ones where `open`. Returns the largest move. */
+static inline num port_move(size_t n, flag open, const num *restrict next, num *restrict v)
+{
+    num moved = NUM(0.0), across = NUM(0.0);   /* of the imaginary parts: a second sum need not wait for the first */
+
+    for (size_t p = 0; p < n; ++p) {
+        const num off = num_size(next[p] - v[p]), other = num_size(next[n + p] - v[n + p]);
+        moved = num_pick(num_above(moved, off), moved, off);   /* NaN as well */
+        across = num_pick(num_above(across, other), across, other);
+        v[p] = num_pick(open, next[p], v[p]);
+        v[n + p] = num_pick(open, next[n + p], v[n + p]);
+    }
+    return num_pick(num_above(moved, across), moved, across);
 }
 
 /* Fills the injected currents e[n_machine..] and w from b. True where that failed and port.c must help; the memory of
@@ -210,24 +248,10 @@ static inline flag port_iterate(const real *memory, const Plan *plan, size_t lan
     port_predict(warm, 2 * n, keep, b, missed, aim, v);
     port_angles(memory, plan, warm, NULL, w.kept);
     for (int count = 1; count <= MOST && flag_any(open); ++count) {
-        num moved = NUM(0.0);
         port_inject(memory, plan, 0, count > 1 ? DC_ALL : DC_START, open, x, sine, cosine, w, e_re, e_im);
-        for (size_t p = 0; p < n; ++p) {
-            const real *d = slope + 4 * p;
-            rest[p] = num_pick(open, e_re[m + p] - (d[0] * v[p] + d[1] * v[n + p]), rest[p]);
-            rest[n + p] = num_pick(open, e_im[m + p] - (d[2] * v[p] + d[3] * v[n + p]), rest[n + p]);
-        }
+        port_left(slope, n, open, v, e_re + m, e_im + m, rest);
         TILED(num_product, lanes, 2 * n, b, memory + plan->port_z, 2 * n, 2 * n, rest, next);
-        num across = NUM(0.0);   /* of the imaginary parts: a second sum need not wait for the first */
-        for (size_t p = 0; p < n; ++p) {
-            const num off = num_size(next[p] - v[p]), other = num_size(next[n + p] - v[n + p]);
-            moved = num_pick(num_above(moved, off), moved, off);   /* NaN as well */
-            across = num_pick(num_above(across, other), across, other);
-            v[p] = num_pick(open, next[p], v[p]);
-            v[n + p] = num_pick(open, next[n + p], v[n + p]);
-        }
-        moved = num_pick(num_above(moved, across), moved, across);
-        const num ratio = num_ratio(moved, before);
+        const num moved = port_move(n, open, next, v), ratio = num_ratio(moved, before);
         const flag quiet = num_reaches(rounding * scale, moved), first = num_above(NUM(1.5), NUM((double)count));
         const flag contracts = num_above(NUM(slow_from), ratio) | first | quiet;
         const flag poor = open & flag_not(num_above(NUM(1e6), moved) & contracts);
@@ -242,12 +266,9 @@ static inline flag port_iterate(const real *memory, const Plan *plan, size_t lan
     }
     failed = failed | open;
     /* what the voltages were made from; a machine's isd and isq are wanted at the voltages themselves */
-    for (size_t p = 0; p < n; ++p) {
-        const real *d = slope + 4 * p;
-        e_re[m + p] = rest[p] + (d[0] * v[p] + d[1] * v[n + p]);
-        e_im[m + p] = rest[n + p] + (d[2] * v[p] + d[3] * v[n + p]);
-    }
-    port_inject(memory, plan, ports_at_buses(memory, plan), DC_NOTHING, flag_all(), x, sine, cosine, w, e_re, e_im);
+    port_whole(slope, n, v, rest, e_re + m, e_im + m);
+    if (port_is_machine(memory + plan->port + P_ROWS * (n - 1)))
+        port_inject(memory, plan, ports_at_buses(memory, plan), DC_NOTHING, flag_all(), x, sine, cosine, w, e_re, e_im);
     keep = keep & flag_not(failed);
     port_keep(warm, 2 * n, keep, b, aim, v, missed);
     port_angles(memory, plan, warm, &keep, w.kept);
