@@ -317,35 +317,48 @@ static size_t newton_from_many(const Problem *s, const double *last, double *wor
     return stuck;
 }
 
+/* Where the iteration with the slopes at rest has failed; as port_solve. */
+static size_t solve_otherwise(const Problem *problem, PortCare care, int stage, const double *linear, double *b, double *work)
+{
+    double *memory = problem->memory, *e_re = problem->e_re, *e_im = problem->e_im, *own = work + 8 * problem->plan->n_port;
+    double *last = memory + problem->plan->port_v;
+    const Plan *plan = problem->plan;
+    const size_t n = plan->n_port;
+    int failed = 1;
+
+    if (fold_here(problem, last, work)) {
+        port_given(memory, plan, problem->lanes, e_re, e_im, linear, b, work);
+        failed = port_iterate(memory, plan, problem->lanes, care, stage, memory + plan->warm, care == PORT_STEP, b, problem->x,
+                              problem->sine, problem->cosine, e_re, e_im, problem->at, work);
+    }
+    if (!failed) return n;
+    if (linear == NULL) {
+        for (size_t p = 0; p < 2 * n; ++p) own[p] = 0.0;
+        port_voltages(memory + plan->port_w_re, memory + plan->port_w_im, n, plan->n_machine, e_re, e_im, own, own + n);
+    }
+    const size_t stuck = newton_from_many(problem, last, work);
+    memory[H_PORT_READY] = 0.0;
+    if (stuck < n) return stuck;
+    /* e and w are those of the solution: what follows only prepares the next call */
+    memcpy(last, problem->at.v_re, 2 * n * sizeof(double));
+    (void)fold_here(problem, last, work);
+    return n;
+}
+
 size_t port_solve(double *memory, const Plan *plan, size_t lanes, PortCare care, int stage, const double *x,
                   const double *sine, const double *cosine, double *e_re, double *e_im, const double *linear, PortWork w, double *work)
 {
     const size_t n = plan->n_port;
-    double *b = work, *more = b + 2 * n, *own = more + 8 * n, *warm = memory + plan->warm;
-    double *last = memory + plan->port_v;
-    const Problem problem = { memory, plan, lanes, x, sine, cosine, e_re, e_im, w, linear == NULL ? own : linear,
-                              work + PORT_NEWTON * n };
-    const int keep = care == PORT_STEP;
+    double *b = work, *more = b + 2 * n;
 
     port_given(memory, plan, lanes, e_re, e_im, linear, b, more);
-    int failed = port_iterate(memory, plan, lanes, care, stage, warm, keep, b, x, sine, cosine, e_re, e_im, w, more);
-    if (failed && fold_here(&problem, last, more)) {
-        port_given(memory, plan, lanes, e_re, e_im, linear, b, more);
-        failed = port_iterate(memory, plan, lanes, care, stage, warm, keep, b, x, sine, cosine, e_re, e_im, w, more);
-    }
-    if (failed) {
-        if (linear == NULL) {
-            for (size_t p = 0; p < 2 * n; ++p) own[p] = 0.0;
-            port_voltages(memory + plan->port_w_re, memory + plan->port_w_im, n, plan->n_machine, e_re, e_im, own, own + n);
-        }
-        const size_t stuck = newton_from_many(&problem, last, more);
-        memory[H_PORT_READY] = 0.0;
+    if (port_iterate(memory, plan, lanes, care, stage, memory + plan->warm, care == PORT_STEP, b, x, sine, cosine, e_re, e_im,
+                     w, more)) {
+        const Problem problem = { memory, plan, lanes, x, sine, cosine, e_re, e_im, w, linear == NULL ? more + 8 * n : linear,
+                                  work + PORT_NEWTON * n };
+        const size_t stuck = solve_otherwise(&problem, care, stage, linear, b, more);
         if (stuck < n) return stuck;
-        /* e and w are those of the solution: what follows only prepares the next call */
-        memcpy(last, w.v_re, 2 * n * sizeof(double));
-        (void)fold_here(&problem, last, more);
-    } else if (care == PORT_EXACT) {
-        memcpy(last, w.v_re, 2 * n * sizeof(double));
     }
+    if (care == PORT_EXACT) memcpy(memory + plan->port_v, w.v_re, 2 * n * sizeof(double));
     return n;
 }

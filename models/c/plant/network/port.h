@@ -144,6 +144,10 @@ static inline void port_predict(num *restrict warm, size_t n, flag keep, const n
     const num a = t - times[0], h = times[0] - times[1], g = times[1] - times[2];
     const flag known = num_above(never, times[0]);
     const flag ahead = num_above(a, NUM(PORT_SAME_S)) & num_reaches(2.0 * h, a);
+    if (!flag_any(known)) {
+        for (size_t k = 0; k < n; ++k) aim[k] = v[k] = last[k];
+        return;
+    }
     const flag bent = ahead & num_reaches(4.0 * g, a + h);   /* less than three: h or g is no positive number */
     const num line = num_pick(ahead, -num_ratio(a, h), NUM(0.0));
     const num w1 = num_pick(bent, -num_ratio(a * (a + h + g), h * g), line);

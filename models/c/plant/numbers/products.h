@@ -34,13 +34,25 @@ static inline void num_product(const double *from, const double *M, size_t rows,
         put_at(to + i + 2 * WIDE, c);
         put_at(to + i + 3 * WIDE, d);
     }
-    for (; i + WIDE <= rows; i += WIDE) {
+    for (; i + WIDE <= rows && i + WIDE + 2 != rows; i += WIDE) {
         const double *m = M + i;
         num a = num_from(from, i);
         for (size_t k = 0; k < columns; ++k, m += rows) a += num_at(m) * s[k];
         put_at(to + i, a);
     }
-    if (i + 2 == rows) {
+    if (i + WIDE + 2 == rows) {
+        const double *m = M + i;
+        num a = num_from(from, i);
+        pair b = { 0.0, 0.0 }, of;
+        if (from != NULL) memcpy(&b, from + i + WIDE, sizeof b);
+        for (size_t k = 0; k < columns; ++k, m += rows) {
+            memcpy(&of, m + WIDE, sizeof of);
+            a += num_at(m) * s[k];
+            b += of * s[k];
+        }
+        put_at(to + i, a);
+        memcpy(to + i + WIDE, &b, sizeof b);
+    } else if (i + 2 == rows) {
         const double *m = M + i;
         pair a = { 0.0, 0.0 }, of;
         if (from != NULL) memcpy(&a, from + i, sizeof a);
