@@ -18,6 +18,7 @@ from .language.expression import ONE, ZERO, Node
 from .language.need import Need, needs_of
 from .language.structure import Model, Order
 
+_FEW = ("hvdc", "vsc")  #: kinds of which a grid rarely has two of one structure
 _TEXT = re.compile(r"[^A-Za-z0-9 ,.:;()=+-]")
 
 
@@ -125,12 +126,14 @@ class Writer(ExpressionWriter):
         words = [(k, word_name(k)) for k in range(MOST_WORDS) if self.most > k * WORD]
         begin = [f"        Limiters {name} = limiters_begin(g, k, {k});" for k, name in words]
         end = [f"        limiters_end(g, k, {k}, &{name});" for k, name in words]
+        few = self.device.kind in _FEW
         signature = f"static inline void equations_of_{self.prefix}("
+        arguments = ["const DeviceGroup *g, const DeviceSignals *in,", f"{' ' * len(signature)}const cell *x, cell *dx)"]
         head = [
-            f"{signature}const DeviceGroup *g, const DeviceSignals *in,",
-            f"{' ' * len(signature)}const cell *x, cell *dx)",
+            *([f"static DEVICE_COPIED void every_{self.prefix}(size_t n, {arguments[0]}", arguments[1]] if few else []),
+            *([] if few else [signature + arguments[0], arguments[1]]),
             "{",
-            "    const size_t n = g->n;",
+            *([] if few else ["    const size_t n = g->n;"]),
             *(["    const uint64_t has = g->has;"] if self.model.bits else []),
             *self.places(),
         ]
@@ -145,7 +148,9 @@ class Writer(ExpressionWriter):
         ]
         prepare = self.prepare()
         title = f"/* {self.device.name}: {_TEXT.sub(' ', self.device.title)} */"
-        return [title, *self.enumeration(), *prepare, *head, *loop, *body, *end, "    }", "}"]
+        call = [signature + arguments[0], arguments[1], "{", f"    DEVICE_FEW(every_{self.prefix}, g, in, x, dx);", "}"]
+        rows = [title, *self.enumeration(), *prepare, *head, *loop, *body, *end, "    }", "}"]
+        return rows + (call if few else [])
 
     def enumeration(self) -> list[str]:
         """The rows of the device's table by name."""

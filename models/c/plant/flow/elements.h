@@ -245,6 +245,15 @@ static inline void limiter_onto(const Limiters *l, unsigned i, double *x, double
 #define LIMITER_ONTO(l, i, g, at, low, high) ((void)0)
 #endif
 
+/* f over the devices of a group: of kinds that are mostly alone once more for one, whose places are known then. */
+#if defined __GNUC__ && !defined PLANT_TANGENT && !defined PLANT_LANES && !defined PLANT_HELD && !defined __wasm__
+#define DEVICE_COPIED inline __attribute__((always_inline))
+#define DEVICE_FEW(f, g, ...) ((g)->n == 1 ? f(1, g, __VA_ARGS__) : f((g)->n, g, __VA_ARGS__))
+#else
+#define DEVICE_COPIED inline
+#define DEVICE_FEW(f, g, ...) f((g)->n, g, __VA_ARGS__)
+#endif
+
 static inline num element_sqrt(num a) { return num_sqrt(element_max(a, NUM(0.0))); }
 static inline num element_sin(num a) { num s, c; num_sincos(a, &s, &c); return s; }
 static inline num element_cos(num a) { num s, c; num_sincos(a, &s, &c); return c; }
