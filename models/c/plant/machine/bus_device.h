@@ -49,8 +49,8 @@ static inline void converter_current(const real *row, num ip, num iq, num v, num
     *across = -num_pick(num_above(v, high), num_pick(num_above(least, less), num_pick(num_above(iq, least), least, iq), less), iq);
 }
 
-/* Current the port injects at the bus voltage v; known, open, kept: of a dc link (dc_link.h). */
-static inline void bus_device_injection(const real *row, const num *x, num sine, num cosine, num v_re, num v_im,
+/* Current the port injects at the bus voltage v_re + j v_im, whose size is v; known, open, kept: of a dc link (dc_link.h). */
+static inline void bus_device_injection(const real *row, const num *x, num sine, num cosine, num v, num v_re, num v_im,
                                         num *i_re, num *i_im, DcKnown known, flag open, num *kept)
 {
     const size_t coupling = index_at(row, P_COUPLING);
@@ -68,7 +68,7 @@ static inline void bus_device_injection(const real *row, const num *x, num sine,
         num per = NUM(1.0);   /* 1/u: one division for both parts */
         across = -y;
         if (coupling >= COUPLING_CURRENT) {
-            const num v = num_sqrt(v_re * v_re + v_im * v_im), low = NUM(row[P_LOW]);
+            const num low = NUM(row[P_LOW]);
             per = num_ratio(NUM(1.0), num_pick(num_above(v, low), v, low));
             if (coupling == COUPLING_CONVERTER)
                 converter_current(row, y, row[P_SCALE] * x[index_at(row, P_STATE_Q)], v, &along, &across);
@@ -86,8 +86,9 @@ static inline void bus_device_injection(const real *row, const num *x, num sine,
 static inline void bus_device_power(const real *row, const num *x, num sine, num cosine, num v_re, num v_im, num *p,
                                     num *q)
 {
+    const num v = num_sqrt(v_re * v_re + v_im * v_im);
     num i_re, i_im, kept[DC_KEPT];
-    bus_device_injection(row, x, sine, cosine, v_re, v_im, &i_re, &i_im, DC_NOTHING, flag_all(), kept);
+    bus_device_injection(row, x, sine, cosine, v, v_re, v_im, &i_re, &i_im, DC_NOTHING, flag_all(), kept);
     *p = v_re * i_re + v_im * i_im;
     *q = v_im * i_re - v_re * i_im;
 }

@@ -48,11 +48,11 @@ static inline void load_factors(const real *row, num u, num *h_p, num *h_q)
     *h_q = load_factor(q, per_i, per_p, u);
 }
 
-/* Current the port injects at the bus voltage v. */
-static inline void load_injection(const real *row, num v_re, num v_im, num *i_re, num *i_im)
+/* Current the port injects at the bus voltage v_re + j v_im, whose size is v. */
+static inline void load_injection(const real *row, num v, num v_re, num v_im, num *i_re, num *i_im)
 {
     const real y = row[P_PER_V0] * row[P_PER_V0];
-    const num u = num_sqrt(v_re * v_re + v_im * v_im) * row[P_PER_V0];
+    const num u = v * row[P_PER_V0];
     num h_p, h_q;
 
     load_factors(row, u, &h_p, &h_q);

@@ -41,17 +41,19 @@ static inline void port_inject(const real *memory, const Plan *plan, size_t firs
                                const num *x, const num *sine, const num *cosine, PortWork w, num *e_re, num *e_im)
 {
     const size_t n = plan->n_machine;
+    num *size = e_re + n;   /* of the voltages, until a port injects: no root waits for another */
     const num *ed2 = machine_states(x, n, plan->n_sixth).ed2;
 
+    for (size_t p = first; p < plan->n_port; ++p) size[p] = num_sqrt(w.v_re[p] * w.v_re[p] + w.v_im[p] * w.v_im[p]);
     for (size_t p = first; p < plan->n_port; ++p) {
         const real *row = memory + plan->port + P_ROWS * p;
         num *re = e_re + n + p, *im = e_im + n + p;
         if (port_is_load(row)) {
-            load_injection(row, w.v_re[p], w.v_im[p], re, im);
+            load_injection(row, size[p], w.v_re[p], w.v_im[p], re, im);
         } else if (port_is_device(row)) {
             const size_t k = n + index_at(row, P_DEVICE);
-            bus_device_injection(row, x, sine[k], cosine[k], w.v_re[p], w.v_im[p], re, im, known, open,
-                                 w.kept + DC_KEPT * p);
+            bus_device_injection(row, x, sine[k], cosine[k], size[p], w.v_re[p], w.v_im[p], re, im, known,
+                                 open, w.kept + DC_KEPT * p);
         } else {
             const size_t k = index_at(row, P_DEVICE);
             const flag on = num_above(NUM(row[P_ON]), NUM(0.5));   /* a tripped machine gives nothing */
