@@ -25,7 +25,7 @@ static void see_components(const real *memory, const Plan *plan, const num *x, s
     num sine, cosine, i_re, i_im, kept[DC_KEPT];
 
     num_sincos(turn, &sine, &cosine);
-    bus_device_injection(row, x, w->sine[at], w->cosine[at], size, v_re, v_im, &i_re, &i_im, DC_NOTHING, flag_all(), kept);
+    bus_device_injection(row, x, w->sine[at], w->cosine[at], size, v_re, v_im, &i_re, &i_im, DC_NOTHING, NULL, flag_all(), kept);
     w->vd[at] = v_re * cosine - v_im * sine;
     w->vq[at] = v_re * sine + v_im * cosine;
     w->id[at] = num_ratio(i_re * cosine - i_im * sine, scale);
@@ -77,7 +77,7 @@ static void see_plant(const real *memory, const Plan *plan, const num *x, size_t
         im = on * (of[P_OWN_RE] * a_im + of[P_OWN_IM] * a_re + of[P_MUTUAL_RE] * b_im + of[P_MUTUAL_IM] * b_re);
     } else {
         bus_device_injection(row, x, w->sine[at], w->cosine[at], num_sqrt(a_re * a_re + a_im * a_im), a_re, a_im, &re, &im,
-                             DC_NOTHING, flag_all(), kept);
+                             DC_NOTHING, NULL, flag_all(), kept);
     }
     see_measured(row, w->port.v_re[bus], w->port.v_im[bus], re, im, a_re, a_im, at, w);
 }

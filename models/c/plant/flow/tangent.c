@@ -26,7 +26,7 @@ static size_t port_solve_tangent(const double *memory, const Plan *plan, const n
         w->port.v_re[p] = v[p];
         w->port.v_im[p] = v[n + p];
     }
-    port_inject(memory, plan, 0, DC_NOTHING, flag_all(), x, w->sine, w->cosine, w->port, w->e_re, w->e_im);
+    port_inject(memory, plan, 0, DC_NOTHING, NULL, flag_all(), x, w->sine, w->cosine, w->port, w->e_re, w->e_im);
     for (size_t p = 0; p < n; ++p) {
         w->port.v_re[p] = linear == NULL ? 0.0 : linear[p];
         w->port.v_im[p] = linear == NULL ? 0.0 : linear[n + p];
@@ -50,7 +50,7 @@ static size_t port_solve_tangent(const double *memory, const Plan *plan, const n
         w->port.v_re[p] = with_slope(v[p], re);
         w->port.v_im[p] = with_slope(v[n + p], im);
     }
-    port_inject(memory, plan, 0, DC_NOTHING, flag_all(), x, w->sine, w->cosine, w->port, w->e_re, w->e_im);
+    port_inject(memory, plan, 0, DC_NOTHING, NULL, flag_all(), x, w->sine, w->cosine, w->port, w->e_re, w->e_im);
     return n;
 }
 
@@ -152,7 +152,7 @@ static void inject_apart(const double *memory, const Plan *plan, const num *x, c
             move_gap(memory, plan, p, ed2[k], v_re[k], v_im[k], w);
         }
     }
-    if (plan->n_port > 0) port_inject(memory, plan, 0, DC_NOTHING, flag_all(), x, w->sine, w->cosine, w->port, w->e_re, w->e_im);
+    if (plan->n_port > 0) port_inject(memory, plan, 0, DC_NOTHING, NULL, flag_all(), x, w->sine, w->cosine, w->port, w->e_re, w->e_im);
     for (size_t p = 0; p < plan->n_port; ++p) {   /* a machine's acts like j x J in its EMF */
         const double *row = memory + plan->port + P_ROWS * p;
         const size_t k = index_at(row, P_DEVICE);

@@ -49,9 +49,10 @@ static inline void converter_current(const real *row, num ip, num iq, num v, num
     *across = -num_pick(num_above(v, high), num_pick(num_above(least, less), num_pick(num_above(iq, least), least, iq), less), iq);
 }
 
-/* Current the port injects at the bus voltage v_re + j v_im, whose size is v; known, open, kept: of a dc link (dc_link.h). */
+/* Current the port injects at the bus voltage v_re + j v_im, whose size is v; known, held, open, kept: of a dc link (dc_link.h). */
 static inline void bus_device_injection(const real *row, const num *x, num sine, num cosine, num v, num v_re, num v_im,
-                                        num *i_re, num *i_im, DcKnown known, flag open, num *kept)
+                                        num *i_re, num *i_im, DcKnown known, const num *held,
+                                        flag open, num *kept)
 {
     const size_t coupling = index_at(row, P_COUPLING);
     const flag on = num_above(NUM(row[P_ON]), NUM(0.5));
@@ -73,7 +74,7 @@ static inline void bus_device_injection(const real *row, const num *x, num sine,
             if (coupling == COUPLING_CONVERTER)
                 converter_current(row, y, row[P_SCALE] * x[index_at(row, P_STATE_Q)], v, &along, &across);
             else if (coupling == COUPLING_RECTIFIER || coupling == COUPLING_INVERTER)
-                dc_link_current(row, x, v, per, known, open, &along, &across, kept);
+                dc_link_current(row, x, v, per, known, held, open, &along, &across, kept);
         }
         along = num_pick(on, per * along, NUM(0.0));
         across = num_pick(on, per * across, NUM(0.0));
@@ -88,7 +89,7 @@ static inline void bus_device_power(const real *row, const num *x, num sine, num
 {
     const num v = num_sqrt(v_re * v_re + v_im * v_im);
     num i_re, i_im, kept[DC_KEPT];
-    bus_device_injection(row, x, sine, cosine, v, v_re, v_im, &i_re, &i_im, DC_NOTHING, flag_all(), kept);
+    bus_device_injection(row, x, sine, cosine, v, v_re, v_im, &i_re, &i_im, DC_NOTHING, NULL, flag_all(), kept);
     *p = v_re * i_re + v_im * i_im;
     *q = v_im * i_re - v_re * i_im;
 }

@@ -100,7 +100,7 @@ static double residual(const Problem *s, double *r)
     const size_t n = s->plan->n_port;
     double *re = r, *im = r + n, worst = 0.0;
 
-    port_inject(s->memory, s->plan, 0, DC_NOTHING, flag_all(), s->x, s->sine, s->cosine, s->at, s->e_re, s->e_im);
+    port_inject(s->memory, s->plan, 0, DC_NOTHING, NULL, flag_all(), s->x, s->sine, s->cosine, s->at, s->e_re, s->e_im);
     for (size_t p = 0; p < 2 * n; ++p) r[p] = s->linear[p];
     port_voltages(s->memory + s->plan->port_own_re, s->memory + s->plan->port_own_im, n, n,
                   s->e_re + s->plan->n_machine, s->e_im + s->plan->n_machine, re, im);
@@ -266,8 +266,8 @@ static int fold(double *memory, const Plan *plan, size_t lanes, const double *v,
     fold_columns(plan, lanes, columns, n, memory + plan->port_own_re, memory + plan->port_own_im, 0, z, space);
     fold_columns(plan, lanes, columns, n, memory + plan->port_own_re, memory + plan->port_own_im, 1, z + 2 * n * n, space);
     for (size_t k = W_FIRST; k <= W_THIRD; ++k) memory[plan->warm + k] = INFINITY;
-    for (size_t p = 0; p < n; ++p) memory[plan->warm + W_V + 8 * n + p] = INFINITY;
-    for (size_t k = 0; k < 2 * PORT_STAGES * n; ++k) memory[plan->warm + W_V + 9 * n + k] = 0.0;
+    for (size_t k = 0; k < DC_HELD * n; ++k) memory[plan->warm + W_V + 8 * n + k] = INFINITY;
+    for (size_t k = 0; k < 2 * PORT_STAGES * n; ++k) memory[plan->warm + W_V + 12 * n + k] = 0.0;
     memory[plan->warm + W_RATIO] = memory[H_PORT_READY] = 1.0;
     return 1;
 }

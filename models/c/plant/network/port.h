@@ -36,9 +36,10 @@ static inline PortWork port_arrays(num *scratch, size_t n)
     return (PortWork){ scratch, scratch + n, scratch + 2 * n, scratch + 3 * n, scratch + 4 * n };
 }
 
-/* Injected current of the ports from `first` on into the sources at n_machine.. known, open: of a dc link (dc_link.h). */
-static inline void port_inject(const real *memory, const Plan *plan, size_t first, DcKnown known, flag open,
-                               const num *x, const num *sine, const num *cosine, PortWork w, num *e_re, num *e_im)
+/* Injected current of the ports from `first` on into the sources at n_machine.. known, held, open: of a dc link
+ * (dc_link.h), held for each port. */
+static inline void port_inject(const real *memory, const Plan *plan, size_t first, DcKnown known, const num *held,
+                               flag open, const num *x, const num *sine, const num *cosine, PortWork w, num *e_re, num *e_im)
 {
     const size_t n = plan->n_machine;
     num *size = e_re + n;   /* of the voltages, until a port injects: no root waits for another */
@@ -53,7 +54,7 @@ static inline void port_inject(const real *memory, const Plan *plan, size_t firs
         } else if (port_is_device(row)) {
             const size_t k = n + index_at(row, P_DEVICE);
             bus_device_injection(row, x, sine[k], cosine[k], size[p], w.v_re[p], w.v_im[p], re, im, known,
-                                 open, w.kept + DC_KEPT * p);
+                                 held == NULL ? NULL : held + DC_HELD * p, open, w.kept + DC_KEPT * p);
         } else {
             const size_t k = index_at(row, P_DEVICE);
             const flag on = num_above(NUM(row[P_ON]), NUM(0.5));   /* a tripped machine gives nothing */
@@ -121,7 +122,7 @@ static const double PORT_SAME_S = 1e-9;   /* times so close are one */
  * nearly are again: what the states of a stage are off the motion is smooth from step to step. Null: outside a step. */
 static inline num *port_missed(num *warm, size_t n, int stage)
 {
-    return stage > 0 && stage <= PORT_STAGES ? warm + W_V + 4 * n + n / 2 + n * (size_t)(stage - 1) : NULL;
+    return stage > 0 && stage <= PORT_STAGES ? warm + W_V + 6 * n + n * (size_t)(stage - 1) : NULL;
 }
 
 /* Where the last solutions point to at this time, along a parabola, a line, or where they stand, into `aim`, and where
@@ -183,16 +184,15 @@ static inline void port_keep(num *restrict warm, size_t n, flag keep, const num 
     }
 }
 
-/* Angles of the inverters of dc links in the last solution, to start from; `keep` stores those of this one. */
-static inline void port_angles(const real *memory, const Plan *plan, num *warm, const flag *keep, num *kept)
+/* Angles of dc links in this solution, for the next to start from. */
+static inline void port_hold(const real *memory, const Plan *plan, flag keep, const num *kept, num *held)
 {
-    num *last = warm + W_V + 8 * plan->n_port;
+    const real *row = memory + plan->port;
 
-    for (size_t p = 0; plan->n_at_bus > 0 && p < plan->n_port; ++p, kept += DC_KEPT) {
-        const real *row = memory + plan->port + P_ROWS * p;
-        if (!port_is_device(row) || index_at(row, P_COUPLING) != COUPLING_INVERTER) continue;
-        if (keep == NULL) kept[DC_ANGLE] = last[p];
-        else last[p] = num_pick(*keep, kept[DC_ANGLE], last[p]);
+    if (plan->n_at_bus == 0) return;
+    for (size_t p = 0; p < plan->n_port; ++p, row += P_ROWS, kept += DC_KEPT, held += DC_HELD) {
+        const size_t coupling = port_is_device(row) ? index_at(row, P_COUPLING) : COUPLING_NONE;
+        if (coupling == COUPLING_RECTIFIER || coupling == COUPLING_INVERTER) dc_link_hold(keep, kept, held);
     }
 }
 
@@ -244,7 +244,7 @@ static inline flag port_iterate(const real *memory, const Plan *plan, size_t lan
     const size_t n = plan->n_port, m = plan->n_machine;
     const real *slope = memory + plan->port_slope;
     num *v = w.v_re, *rest = work, *next = work + 2 * n, *aim = work + 4 * n, before = NUM(INFINITY), known = warm[W_RATIO], scale = NUM(1.0);
-    num *missed = port_missed(warm, 2 * n, stage);
+    num *missed = port_missed(warm, 2 * n, stage), *held = warm + W_V + 8 * n;
     flag open = num_above(NUM(memory[H_PORT_READY]), NUM(0.5)), failed = flag_not(open);
 
     for (size_t p = 0; p < 2 * n; ++p) {
@@ -252,9 +252,8 @@ static inline flag port_iterate(const real *memory, const Plan *plan, size_t lan
         rest[p] = NUM(0.0);
     }
     port_predict(warm, 2 * n, keep, b, missed, aim, v);
-    port_angles(memory, plan, warm, NULL, w.kept);
     for (int count = 1; count <= MOST && flag_any(open); ++count) {
-        port_inject(memory, plan, 0, count > 1 ? DC_ALL : DC_START, open, x, sine, cosine, w, e_re, e_im);
+        port_inject(memory, plan, 0, count > 1 ? DC_ALL : DC_START, held, open, x, sine, cosine, w, e_re, e_im);
         port_left(slope, n, open, v, e_re + m, e_im + m, rest);
         TILED(num_product, lanes, 2 * n, b, memory + plan->port_z, 2 * n, 2 * n, rest, next);
         const num moved = port_move(n, open, next, v), ratio = num_ratio(moved, before);
@@ -274,10 +273,10 @@ static inline flag port_iterate(const real *memory, const Plan *plan, size_t lan
     /* what the voltages were made from; a machine's isd and isq are wanted at the voltages themselves */
     port_whole(slope, n, v, rest, e_re + m, e_im + m);
     if (port_is_machine(memory + plan->port + P_ROWS * (n - 1)))
-        port_inject(memory, plan, ports_at_buses(memory, plan), DC_NOTHING, flag_all(), x, sine, cosine, w, e_re, e_im);
+        port_inject(memory, plan, ports_at_buses(memory, plan), DC_NOTHING, NULL, flag_all(), x, sine, cosine, w, e_re, e_im);
     keep = keep & flag_not(failed);
     port_keep(warm, 2 * n, keep, b, aim, v, missed);
-    port_angles(memory, plan, warm, &keep, w.kept);
+    port_hold(memory, plan, keep, w.kept, held);
     warm[W_RATIO] = num_pick(keep, known, warm[W_RATIO]);
     return failed;
 }

@@ -29,7 +29,7 @@ static inline void sparse_port_scale(const real *memory, const Plan *plan, size_
 static inline void sparse_port_inject(const real *memory, const Plan *plan, size_t first, const num *x, const num *sine,
                                       const num *cosine, PortWork w, num *e_re, num *e_im)
 {
-    port_inject(memory, plan, first, DC_NOTHING, flag_all(), x, sine, cosine, w, e_re, e_im);
+    port_inject(memory, plan, first, DC_NOTHING, NULL, flag_all(), x, sine, cosine, w, e_re, e_im);
     sparse_port_scale(memory, plan, first, e_re, e_im);
 }
 

@@ -142,10 +142,12 @@ enum {
 /* What evaluations change where ports are folded (port.h): the time of the coming one, s; by how much the last
  * solution's steps brought it closer; when the slopes at rest are tried again, INFINITY: they are in use, and how long
  * others are kept, s; times of the last three solutions, newest first, INFINITY: none; then port voltages of the newest
- * and what they hold beyond `b` of all three, 2 n_port each; then at an inverter's port of a dc link its angle, INFINITY:
- * none; then of each stage of a step by how much its solution missed where those before pointed to, 2 n_port each. */
+ * and what they hold beyond `b` of all three, 2 n_port each; then what ends of dc links hold, DC_HELD n_port,
+ * INFINITY: nothing; then of each stage of a step by how much its solution missed where those before pointed to, 2 n_port each. */
 enum { W_TIME, W_RATIO, W_REST, W_WAIT, W_FIRST, W_SECOND, W_THIRD, W_V };
 enum { PORT_STAGES = 4 };
+/* An end of a dc link: its angle in the newest solution, then one nearby with its sine and cosine (dc_link.h). */
+enum { DC_LAST, DC_NEARBY, DC_NEARBY_SINE, DC_NEARBY_COSINE, DC_HELD };
 /* The same where slopes are in the factors (sparse_port.h): that time; by how much a step has brought the ports closer;
  * solutions with those slopes; 1: they are good for this stage; number of the factors with them, of H_FACTORS: where
  * others are there, a step has been undone. Then slopes and voltages of the ports. */
@@ -216,7 +218,7 @@ typedef struct {
     size_t port_b;        /* folded, columns of 2 n_port: of the EMFs' real parts, then of their imaginary ones;
                              few: of the ports' voltages without what they inject  */
     size_t port_z;        /* folded: 2 n_port columns of 2 n_port, from what slopes leave */
-    size_t warm;          /* what evaluations change: W_V + 17 n_port, or F_SLOPES and slopes; the last of memory */
+    size_t warm;          /* what evaluations change: W_V + 20 n_port, or F_SLOPES and slopes; the last of memory */
     size_t port_v;        /* 2 n_port: port voltages as last solved                */
     size_t total;
 } Plan;
@@ -295,7 +297,7 @@ static inline void plan_offsets(Plan *p)
         p->port_fold = at;     at += 2u * ports;
         p->port_past = at;     at += 3u + 4u * ports;
     }
-    p->port_v = at;        at += (2u + (7u + 2u * PORT_STAGES) * p->folded) * ports;
+    p->port_v = at;        at += (2u + (6u + DC_HELD + 2u * PORT_STAGES) * p->folded) * ports;
     p->total = at;
 }
 

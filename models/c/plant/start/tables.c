@@ -342,7 +342,7 @@ static void read_tables(const Record *record, const Plan *plan, const Network *n
     copy_reals(memory + plan->port_rest, volts, 2 * plan->n_port);
     copy_reals(memory + plan->delta_rest, reals(&r, "state.rest", plan->n_state), n);
     for (size_t k = W_FIRST; k <= W_THIRD; ++k) memory[plan->warm + k] = INFINITY;
-    for (size_t p = 0; p < plan->n_port; ++p) memory[plan->warm + W_V + 8 * plan->n_port + p] = INFINITY;
+    for (size_t k = 0; k < DC_HELD * plan->n_port; ++k) memory[plan->warm + W_V + 8 * plan->n_port + k] = INFINITY;
 }
 
 static void read_tie(const Record *record, const Plan *plan, const Network *net, double *memory)
