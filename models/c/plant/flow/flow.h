@@ -179,7 +179,7 @@ static size_t solve_sparse(real *memory, const Plan *plan, const Pattern *patter
 static void solve_terminals(const real *memory, const Plan *plan, const Machines *machines, const num *x, Work *w)
 {
     EVERY_MACHINE(machine_terminal, plan, w, machines);
-    if (plan->n_port > 0) saturate_terminals(memory, plan, w);
+    if (ports_of_machines(memory, plan)) saturate_terminals(memory, plan, w);
     else w->id_rotor = w->id;
     if (plan->n_at_bus > 0) see_voltages(memory, plan, x, w);
 }
@@ -340,7 +340,7 @@ static void solve_rates(const real *memory, const Plan *plan, const num *x, cons
     const MachineRates rates = machine_rates(dx, n, sixth);
     TILED(machine_derivatives, w->lanes, sixth, &machines, rates, 0, sixth);
     TILED(machine_derivatives, w->lanes, n - sixth, &machines, rates, sixth, n);
-    if (plan->n_port > 0) saturate_rates(memory, plan, w, dx);
+    if (ports_of_machines(memory, plan)) saturate_rates(memory, plan, w, dx);
     if (flag_any(num_above(NUM(memory[H_TRIPPED]), NUM(0.0)))) hold_tripped(memory, plan, x, dx);
 }
 

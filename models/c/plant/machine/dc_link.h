@@ -43,15 +43,6 @@ static inline int dc_link_is_inverter(const real *row) { return index_at(row, P_
 /* Whether d is more than the sine and the cosine of an angle may be turned by. */
 static inline flag dc_link_far(num d) { return flag_not(num_reaches(NUM(DC_NEAR * DC_NEAR), d * d)); }
 
-static SELDOM void dc_link_point(num angle, flag here, num *sine, num *cosine)
-{
-    num s, c;
-
-    num_sincos(angle, &s, &c);
-    *sine = num_pick(here, s, *sine);
-    *cosine = num_pick(here, c, *cosine);
-}
-
 /* Where `open`, the angle in `kept` becomes `angle`, d from one whose sine and cosine are given. */
 static inline void dc_link_turn(num angle, num d, num sine, num cosine, flag open, num *kept)
 {
@@ -63,7 +54,12 @@ static inline void dc_link_turn(num angle, num d, num sine, num cosine, flag ope
     kept[DC_ANGLE] = num_pick(open, angle, kept[DC_ANGLE]);
     kept[DC_SINE] = num_pick(open, (sine + d * cosine) - q * s, kept[DC_SINE]);
     kept[DC_COSINE] = num_pick(open, (cosine - d * sine) - q * c, kept[DC_COSINE]);
-    if (flag_any(far)) dc_link_point(angle, far, &kept[DC_SINE], &kept[DC_COSINE]);
+    if (flag_any(far)) {
+        num far_sine, far_cosine;
+        num_sincos(angle, &far_sine, &far_cosine);
+        kept[DC_SINE] = num_pick(far, far_sine, kept[DC_SINE]);
+        kept[DC_COSINE] = num_pick(far, far_cosine, kept[DC_COSINE]);
+    }
 }
 
 /* An angle to start from, with its sine and cosine. */
@@ -74,19 +70,21 @@ static inline void dc_link_begin(num angle, DcKnown known, const num *held, num 
         return;
     }
     kept[DC_ANGLE] = angle;
-    kept[DC_SINE] = kept[DC_COSINE] = NUM(0.0);
-    dc_link_point(angle, flag_all(), &kept[DC_SINE], &kept[DC_COSINE]);
+    num_sincos(angle, &kept[DC_SINE], &kept[DC_COSINE]);
 }
 
 /* What is kept of a solution is held where `keep` says so: sines turned again and again would drift away. */
 static inline void dc_link_hold(flag keep, const num *kept, num *held)
 {
     const flag far = keep & dc_link_far(kept[DC_ANGLE] - held[DC_NEARBY]);
+    num sine, cosine;
 
     held[DC_LAST] = num_pick(keep, kept[DC_ANGLE], held[DC_LAST]);
     if (!flag_any(far)) return;
+    num_sincos(kept[DC_ANGLE], &sine, &cosine);
     held[DC_NEARBY] = num_pick(far, kept[DC_ANGLE], held[DC_NEARBY]);
-    dc_link_point(kept[DC_ANGLE], far, &held[DC_NEARBY_SINE], &held[DC_NEARBY_COSINE]);
+    held[DC_NEARBY_SINE] = num_pick(far, sine, held[DC_NEARBY_SINE]);
+    held[DC_NEARBY_COSINE] = num_pick(far, cosine, held[DC_NEARBY_COSINE]);
 }
 
 /* Into `kept` the extinction angle before its limits: current i, order and a_i; u not below P_LOW. Returns b. */
@@ -139,10 +137,10 @@ static inline num dc_link_cosine(const real *row, num i, num order, num angle, n
     const flag beyond = num_above(kept[DC_ANGLE], NUM(most)) | num_above(NUM(least), kept[DC_ANGLE]);
     *turn = -num_ratio(part * kept[DC_COSINE], 1.0 + part);
     if (!flag_any(beyond)) return kept[DC_COSINE];
-    num sine = kept[DC_SINE], cosine = kept[DC_COSINE];
-    dc_link_point(num_clamp(kept[DC_ANGLE], least, most), beyond, &sine, &cosine);
+    num sine, cosine;
+    num_sincos(num_clamp(kept[DC_ANGLE], least, most), &sine, &cosine);
     *turn = num_pick(beyond, NUM(0.0), *turn);
-    return cosine;
+    return num_pick(beyond, cosine, kept[DC_COSINE]);
 }
 
 static inline num dc_link_bound(num a)

@@ -89,6 +89,12 @@ static inline size_t ports_at_buses(const real *memory, const Plan *plan)
     return count;
 }
 
+/* Whether machines have ports: these come last. */
+static inline int ports_of_machines(const real *memory, const Plan *plan)
+{
+    return plan->n_port > 0 && port_is_machine(memory + plan->port + P_ROWS * (plan->n_port - 1));
+}
+
 /* How well the ports are solved: within a step of the integrator, far below its own error; for whoever asks by
  * himself or looks for the instant of a switch; to rounding, as tangents need it. */
 typedef enum { PORT_STEP, PORT_ALONE, PORT_EXACT } PortCare;
@@ -127,7 +133,7 @@ static inline num *port_missed(num *warm, size_t n, int stage)
 
 /* Where the last solutions point to at this time, along a parabola, a line, or where they stand, into `aim`, and where
  * they are expected to be into v. Where `keep` says so, what a step done again has seen later is forgotten. */
-static inline void port_predict(num *restrict warm, size_t n, flag keep, const num *restrict b, const num *missed,
+static inline void port_predict(num *restrict warm, size_t n, flag keep, const num *restrict b, const num *restrict missed,
                                 num *restrict aim, num *restrict v)
 {
     num *last = warm + W_V, *r0 = last + n, *r1 = r0 + n, *r2 = r1 + n, *times = warm + W_FIRST;
@@ -163,7 +169,7 @@ static inline void port_predict(num *restrict warm, size_t n, flag keep, const n
 
 /* The solution v at this time becomes the newest. */
 static inline void port_keep(num *restrict warm, size_t n, flag keep, const num *restrict b, const num *restrict aim,
-                             const num *restrict v, num *missed)
+                             const num *restrict v, num *restrict missed)
 {
     num *last = warm + W_V, *r0 = last + n, *r1 = r0 + n, *r2 = r1 + n, *times = warm + W_FIRST;
     const num t = warm[W_TIME];
@@ -272,7 +278,7 @@ static inline flag port_iterate(const real *memory, const Plan *plan, size_t lan
     failed = failed | open;
     /* what the voltages were made from; a machine's isd and isq are wanted at the voltages themselves */
     port_whole(slope, n, v, rest, e_re + m, e_im + m);
-    if (port_is_machine(memory + plan->port + P_ROWS * (n - 1)))
+    if (ports_of_machines(memory, plan))
         port_inject(memory, plan, ports_at_buses(memory, plan), DC_NOTHING, NULL, flag_all(), x, sine, cosine, w, e_re, e_im);
     keep = keep & flag_not(failed);
     port_keep(warm, 2 * n, keep, b, aim, v, missed);

@@ -36,12 +36,6 @@ typedef int flag;
 #define PART(a) (a)
 #endif
 
-/* What is seldom done stays out of those that call it. */
-#ifdef __GNUC__
-#define SELDOM __attribute__((noinline, cold, unused))
-#else
-#define SELDOM
-#endif
 
 static inline uint64_t real_bits(double a)
 {
