@@ -191,11 +191,12 @@ static void turn_frame(const real *memory, const Plan *plan, MachineStates state
     for (size_t k = 0; k < plan->n_machine; ++k) w->turn[k] = value_at(w->centre, memory[plan->part + k]);
 }
 
-/* Angles of the voltage sources at buses, in the frame in which their network is solved. */
+/* Angles of the voltage sources at buses, in the frame in which their network is solved; those of other devices are
+ * not used. */
 static void turn_sources(const real *memory, const Plan *plan, const num *x, Work *w)
 {
-    for (size_t k = plan->n_machine; k < plan->n_place; ++k) w->sine[k] = w->cosine[k] = NUM(0.0);
-    for (size_t p = 0; plan->n_at_bus > 0 && p < plan->n_port; ++p) {
+    if (!(first_at(memory, H_SOURCES) > 0.0)) return;
+    for (size_t p = 0; p < plan->n_port; ++p) {
         const real *row = memory + plan->port + P_ROWS * p;
         if (!port_is_device(row) || index_at(row, P_COUPLING) != COUPLING_SOURCE) continue;
         const size_t k = plan->n_machine + index_at(row, P_DEVICE);

@@ -136,6 +136,7 @@ enum {
     H_PARTS, H_DEAD,    /* parts of the network with a machine; buses in parts without one */
     H_FACTORS,          /* sparse: how many factors with slopes have been made */
     H_PORT_PATH,        /* sparse: rows of port_path                    */
+    H_SOURCES,          /* ports at voltage sources                     */
     H_PLAN
 };
 

@@ -336,6 +336,11 @@ static void read_tables(const Record *record, const Plan *plan, const Network *n
     copy_integers(memory + plan->show + plan->n_y + plan->n_w,
                   integers(&r, "show.of", plan->n_y + plan->n_w, SIZE_MAX), plan->n_y + plan->n_w);
     copy_reals(memory + plan->port, read_ports(&r, plan), P_ROWS * plan->n_port);
+    memory[H_SOURCES] = 0.0;
+    for (size_t p = 0; p < plan->n_port; ++p) {
+        const double *row = memory + plan->port + P_ROWS * p;
+        if (port_is_device(row) && index_at(row, P_COUPLING) == COUPLING_SOURCE) memory[H_SOURCES] += 1.0;
+    }
     const double *volts = reals(&r, "port.rest", 2 * plan->n_port);
     copy_reals(memory + plan->port_v, volts, 2 * plan->n_port);
     if (plan->folded == 0) return;
