@@ -128,10 +128,14 @@ class Writer(ExpressionWriter):
         end = [f"        limiters_end(g, k, {k}, &{name});" for k, name in words]
         few = self.device.kind in _FEW
         signature = f"static inline void equations_of_{self.prefix}("
-        arguments = ["const DeviceGroup *g, const DeviceSignals *in,", f"{' ' * len(signature)}const cell *x, cell *dx)"]
+        first, last = (
+            "const DeviceGroup *g, const DeviceSignals *in,",
+            f"{' ' * len(signature)}const cell *x, cell *dx)",
+        )
+        every = f"static DEVICE_COPIED void every_{self.prefix}(size_t n, "
         head = [
-            *([f"static DEVICE_COPIED void every_{self.prefix}(size_t n, {arguments[0]}", arguments[1]] if few else []),
-            *([] if few else [signature + arguments[0], arguments[1]]),
+            (every if few else signature) + first,
+            last,
             "{",
             *([] if few else ["    const size_t n = g->n;"]),
             *(["    const uint64_t has = g->has;"] if self.model.bits else []),
@@ -148,7 +152,7 @@ class Writer(ExpressionWriter):
         ]
         prepare = self.prepare()
         title = f"/* {self.device.name}: {_TEXT.sub(' ', self.device.title)} */"
-        call = [signature + arguments[0], arguments[1], "{", f"    DEVICE_FEW(every_{self.prefix}, g, in, x, dx);", "}"]
+        call = [signature + first, last, "{", f"    DEVICE_FEW(every_{self.prefix}, g, in, x, dx);", "}"]
         rows = [title, *self.enumeration(), *prepare, *head, *loop, *body, *end, "    }", "}"]
         return rows + (call if few else [])
 

@@ -171,6 +171,10 @@ def link_ports(
             low,
         ]
         start += [states[angle], at_rest["idc"], states["iord"], end.no_load, end.drop]
-        margin = [values["MARGIN"], values["KM"], values["vref"]] if coupling == INVERTER else [0.0, 0.0, 1.0]
-        rows.append([*start, *(values[name] for name in names), *margin])
+        margin = (
+            [values["MARGIN"], values["KM"], 1.0 / values["vref"]]
+            if coupling == INVERTER
+            else [0.0, 0.0, 1.0]
+        )
+        rows.append([*start, *(values[name] for name in names), *margin, end.drop / end.no_load])
     return rows

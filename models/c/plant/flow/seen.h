@@ -88,16 +88,10 @@ static void see_converter(const real *memory, const Plan *plan, const num *x, si
     const real *row = memory + plan->port + P_ROWS * p;
     const size_t sees = index_at(row, P_DIRECTION);
     const num per = num_ratio(NUM(1.0), NUM(row[P_SCALE]));   /* does not wait for the voltages */
-    const num v_re = w->port.v_re[p], v_im = w->port.v_im[p];
     num active, reactive;
 
-    if (plan->folded > 0) {   /* where the sources hold what it injects at this voltage */
-        const num i_re = w->e_re[plan->n_machine + p], i_im = w->e_im[plan->n_machine + p];
-        active = v_re * i_re + v_im * i_im;
-        reactive = v_im * i_re - v_re * i_im;
-    } else {
-        bus_device_power(row, x, w->sine[at], w->cosine[at], v_re, v_im, &active, &reactive);
-    }
+    if (index_at(row, P_COUPLING) == COUPLING_CONVERTER) converter_power(row, x, v, &active, &reactive);
+    else bus_device_power(row, x, w->sine[at], w->cosine[at], w->port.v_re[p], w->port.v_im[p], &active, &reactive);
     *(far ? &w->vq[at] : &w->pe[at]) = per * active;
     if (far) return;
     w->ifd[at] = per * reactive;

@@ -49,6 +49,19 @@ static inline void converter_current(const real *row, num ip, num iq, num v, num
     *across = -num_pick(num_above(v, high), num_pick(num_above(least, less), num_pick(num_above(iq, least), least, iq), less), iq);
 }
 
+/* Active and reactive power of a converter into the network, system base. */
+static inline void converter_power(const real *row, const num *x, num v, num *p, num *q)
+{
+    const num ip = row[P_SCALE] * x[index_at(row, P_STATE)] + row[P_BIAS], iq = row[P_SCALE] * x[index_at(row, P_STATE_Q)];
+    const num low = NUM(row[P_LOW]), u = num_pick(num_above(v, low), v, low);
+    const num size = num_pick(num_above(NUM(row[P_ON]), NUM(0.5)), v * num_ratio(v, u), NUM(0.0));
+    num along, across;
+
+    converter_current(row, ip, iq, v, &along, &across);
+    *p = size * along;
+    *q = -(size * across);
+}
+
 /* Current the port injects at the bus voltage v_re + j v_im, whose size is v; known, held, open, kept: of a dc link (dc_link.h). */
 static inline void bus_device_injection(const real *row, const num *x, num sine, num cosine, num v, num v_re, num v_im,
                                         num *i_re, num *i_im, DcKnown known, const num *held,

@@ -93,7 +93,7 @@ static inline num dc_link_extinction(const real *row, num i, num order, num angl
 {
     const num low = NUM(0.0), behind = row[P_MARGIN] * order - i;
     const num m = row[P_MARGIN_GAIN] * num_pick(num_above(behind, low), behind, low);
-    const num per = num_ratio(NUM(row[P_GAIN]), NUM(row[P_VREF]));
+    const num per = NUM(row[P_GAIN] * row[P_PER_VREF]);
     const num a = angle + row[P_GAIN] * (m - 1.0) - per * (row[P_DROP] * i), b = per * row[P_NO_LOAD] * u;
     flag open = flag_all();
 
@@ -152,7 +152,7 @@ static inline num dc_link_bound(num a)
 /* cos(phi) from the cosine of the angle and u times its slope, which becomes that of cos(phi); per: 1/u. */
 static inline num dc_link_phi(const real *row, num i, num v, num per, num cosine, num *turn)
 {
-    const num drop = num_ratio(row[P_DROP] * i, NUM(row[P_NO_LOAD])) * per, raw = cosine - drop;
+    const num drop = (row[P_DROP_SHARE] * i) * per, raw = cosine - drop;
     const num phi = dc_link_bound(raw);
     const flag free = num_above(v, NUM(row[P_LOW])) & num_reaches(raw, phi) & num_reaches(phi, raw);
     *turn = num_pick(free, drop + *turn, NUM(0.0));

@@ -96,7 +96,8 @@ enum {  /* the same rows at an end of a dc link, currents and dc voltages on its
     P_GAIN,             /* of the angle: by the current of a rectifier, by the dc voltage of an inverter */
     P_ANGLE_MIN, P_ANGLE_MAX,
     P_MARGIN, P_MARGIN_GAIN, /* inverter: share of the order below which its angle follows the current too, and how much */
-    P_VREF              /* inverter: dc voltage that it holds */
+    P_PER_VREF,         /* inverter: 1 over the dc voltage that it holds */
+    P_DROP_SHARE        /* P_DROP over P_NO_LOAD                        */
 };
 enum {  /* the same rows at a machine's port */
     P_SATURATION = P_LOAD, /* SaturationKind                            */
