@@ -22,7 +22,8 @@
  * with the slopes at rest: the same numbers for every run, whatever has happened in it, so that runs side by side
  * read one table. They stay good since the network is solved in a frame that has turned with the machines since
  * then (flow.h): J turns with V, so only what ports have turned against each other counts. What is left,
- * r = V - b, is small and smooth: the iteration starts where its last three values point to. Where it does not
+ * r = V - b, is small and smooth: the iteration starts where its last three values point to, and by how much that
+ * missed at the same stage of the step before. Where it does not
  * contract, port.c folds with the slopes where the voltages are, or takes damped Newton steps; after a while, an event
  * like others, it is tried with those at rest again, since only runs that have these can go side by side on one memory.
  * Many ports on a sparse network are sparse_port.h's. Tangents take one exact Newton step (tangent.c). */
@@ -308,7 +309,8 @@ static inline void port_voltages(const double *w_re, const double *w_im, size_t 
  * or the port farthest from a solution. linear: of few ports their voltages without what they inject; null: of
  * the EMFs' columns. w: arrays of PortWork, which lie one after the other. work: PORT_NEWTON n_port + 8 n_port^2. */
 size_t port_solve(double *memory, const Plan *plan, size_t lanes, PortCare care, int stage, const double *x,
-                  const double *sine, const double *cosine, double *e_re, double *e_im, const double *linear, PortWork w, double *work);
+                  const double *sine, const double *cosine, double *e_re, double *e_im, const double *linear,
+                  PortWork w, double *work);
 /* The network folded with the slopes at rest; others, where they are wanted, are kept for `wait` seconds.
  * work: 2 n_machine + 6 n_port + 8 n_port^2. */
 void port_fold_at_rest(double *memory, const Plan *plan, size_t lanes, double wait, double *work);
