@@ -47,7 +47,7 @@ LATENCY_S = {"G2_dw": 0.1, "G4_dw": 0.0, "G1_dw": 0.05, "G3_dw": 0.05}
 RATED_HZ = 60.0
 SWING_HZ, PMU_HZ = 3e-3, 1e-3  # rms between G2 and G4; of each frame
 RECORDS, PART = 400, 5000  # side by side; stamps kept at once
-TESTS = ("pattern", "lasting", "apart", "alone", "rough", "standing")
+TESTS = ("pattern", "lasting", "apart", "alone", "rough", "standing", "growing")
 
 
 def points(case: Case) -> Iterator[tuple[str, Case]]:
@@ -205,6 +205,9 @@ def compared(y: np.ndarray, patterns: Any) -> dict[str, float]:
     if len(level) >= long:  # the last part of a record may be shorter than what it stands for
         lasts = np.lib.stride_tricks.sliding_window_view(level, long)
         result["standing"] = float(lasts.min(axis=1).max()) / default.STANDING_PU
+    back = span * 2 // FRAMES
+    grows = np.minimum(level[: -2 * back], np.minimum(level[back:-back] / 2.0, level[2 * back :] / 4.0))
+    result["growing"] = float(grows.max()) / default.STANDING_PU
     each: dict[str, list[float]] = {"apart": [], "rough": []}
     for i in range(len(y)):
         others = [j for j in range(len(y)) if j != i]

@@ -13,6 +13,9 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
+import numpy as np
+from scipy.stats import qmc
+
 from interarea.design.controllers.bank import ControllerBank
 from interarea.design.delay.signal_conditions import Condition
 from interarea.design.robust.operating_points import family_row, inter_area_band
@@ -41,6 +44,7 @@ from .wrong_runs import (
 RIGHT = "nothing wrong"
 _STANDING = REASONS.index("standing")
 NAMED_SHARE = 0.99  #: of the isolations, of the right signal
+LOAD_SHARE, TIE_MW = 0.03, 75.0  #: largest changes of a point: detectors are designed at loads +-5 %
 
 
 @dataclass(frozen=True)
@@ -195,11 +199,21 @@ def _cells(rows: Sequence[WrongRow]) -> Iterator[str]:
     yield str(sum(r.stopped_s is not None for r in watched))
 
 
-def points_of(case: Case) -> dict[str, Case]:
-    """Return the case, and a point outside every design: 2 % more load, 50 MW more on a tie."""
-    tie_mw = 0.0 if case.tie is None else 50.0
-    words = "load +2 %" + (f", tie {tie_mw:+g} MW" if tie_mw else "")
-    return {"base": case, words: operating_variant(case, load_scale=1.02, tie_flow_mw=tie_mw)}
+def points_of(case: Case, count: int = 2) -> dict[str, Case]:
+    """Return `count` operating points: the case, then others outside every design.
+
+    First 2 % more load and 50 MW more on a tie, then loads up to `LOAD_SHARE` and flows up to `TIE_MW` from
+    the case by the sequence of Halton in bases 2 and 3 [Halton1960], so that the first N points are those of
+    any longer list.
+    """
+    others = 2.0 * qmc.Halton(2, scramble=False).fast_forward(1).random(max(count - 2, 0)) - 1.0
+    changes = np.vstack([[0.02, 50.0], others * (LOAD_SHARE, TIE_MW)]).tolist()
+    points = {"base": case}
+    for load, tie in changes[: count - 1]:
+        share, tie_mw = round(load, 4), 0.0 if case.tie is None else round(tie, 1)
+        words = f"load {100.0 * share:+.3g} %" + (f", tie {tie_mw:+g} MW" if tie_mw else "")
+        points[words] = operating_variant(case, load_scale=1.0 + share, tie_flow_mw=tie_mw)
+    return points
 
 
 def certify_wrong_signals(

@@ -22,7 +22,7 @@ from ..plots.html import page_environment
 from ..results.verdict import LOST
 from .detector_design import design_detector
 from .wrong_runs import LONG_S, START_S, STOP_S, WRONG_S, Judged, signals_of
-from .wrong_signals import HEADER, RIGHT, WrongRow, certify_wrong_signals
+from .wrong_signals import HEADER, RIGHT, WrongRow, certify_wrong_signals, points_of
 
 #: by default: the default controller, the bank, one of the printed ones, and those of larger sets of signals
 CONTROLLERS = ("wide_area", "active", "ftc", "two_actuators", "nets_nyps", "new_england")
@@ -53,14 +53,14 @@ def study_wrong_signals(
     *,
     kinds: Sequence[str] | None = None,
     disturbances: Sequence[str] | None = None,
-    one_point: bool = False,
+    points: int = 2,
     command: str = "",
     report: Report = lambda stage, share: None,
 ) -> dict[str, Any]:
     """Run every kind of wrong signal on each controller in the folder `out`; return the content of its JSON.
 
     Detectors and certificates in `out` of the same controller, grid and options are reused. kinds,
-    disturbances : as in `certify_wrong_signals`. one_point : only the point of the case.
+    disturbances : as in `certify_wrong_signals`. points : number of operating points.
 
     Raises
     ------
@@ -84,7 +84,7 @@ def study_wrong_signals(
             report(making, 0.0)
             file, problem = _detector(subject, out, cache, partial(report, making))
             report(making, 1.0)
-            question = (kinds, disturbances, one_point)
+            question = (kinds, disturbances, points)
             result = _certificate(subject, file, question, out, cache, partial(report, running))
             done.append({**result, **summary_of(result), "no_detector": problem, "fault": str(subject.place)})
             written()
@@ -123,7 +123,7 @@ def _detector(
 def _certificate(
     subject: Subject,
     detector: Path | None,
-    asked: tuple[Sequence[str] | None, Sequence[str] | None, bool],
+    asked: tuple[Sequence[str] | None, Sequence[str] | None, int],
     out: Path,
     cache: Path,
     progress: Callable[[float], object],
@@ -155,7 +155,7 @@ def _certificate(
         compared=compared,
         kinds=asked[0],
         disturbances=asked[1],
-        points={"base": subject.case} if asked[2] else None,
+        points=points_of(subject.case, asked[2]),
         progress=progress,
     )
     document = certificate.as_dict() | {"key": key, "detector": {} if detector is None else detector.name}

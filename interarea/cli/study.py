@@ -108,9 +108,14 @@ def study(
             help="of wrong-signals: rest, pulse, bus fault, tie trip (else all); repeatable",
         ),
     ] = None,
-    one_point: Annotated[
-        bool, typer.Option("--one-point", help="of wrong-signals: only the operating point of the case")
-    ] = False,
+    points: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            min=1,
+            help="of wrong-signals: operating points, the first is that of the case (else 2)",
+        ),
+    ] = None,
     json_: Annotated[bool, typer.Option("--json", help="print JSON instead of the files' names")] = False,
 ) -> None:
     """Run a whole study, or study a grid: modes, a design for it, faults, report.html, study.json.
@@ -127,7 +132,7 @@ def study(
     from .destination import folder_for
     from .grids import grid_of
 
-    asked = Asked(controller or [], kind or [], disturbance or [], one_point)
+    asked = Asked(controller or [], kind or [], disturbance or [], points)
     words = {"--mva": mva, "--actuator": actuator, "--grid": grid, "--dyr": dyr, "--minutes": minutes}
     _check_options(name, [*_as_typed(words), *((typed.split()[0], typed) for typed in asked.options)])
     if name == "actuators":

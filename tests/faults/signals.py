@@ -67,7 +67,7 @@ COMMANDS = {
     "worth": "study worth --grid two-area-thesis --minutes 1 --out {out}",
     "actuators": "study actuators --grid two-area-thesis --actuator exciter --out {out}",
     "inverters": "study inverters --grid two-area-thesis --minutes 1 --out {out}",
-    "wrong": "study wrong-signals --controller robust --one-point --out {out}",
+    "wrong": "study wrong-signals --controller robust --points 1 --out {out}",
     "meter": "meter {files}/run/trajectory.parquet --case two-area-thesis",
     "locate": "locate {files}/run/trajectory.parquet --case two-area-thesis",
     "fit": "fit {files}/terminal/trajectory.parquet --case two-area-thesis --machine G1 --parameters H,Xd1",

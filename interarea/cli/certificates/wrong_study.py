@@ -10,17 +10,17 @@ from typing import Any
 from ..terminal import busy, stage_progress
 
 STUDY = "wrong-signals"
-OPTIONS = ("--controller", "--kind", "--disturbance", "--one-point")  #: that only this study takes
+OPTIONS = ("--controller", "--kind", "--disturbance", "--points")  #: that only this study takes
 
 
 @dataclass(frozen=True)
 class Asked:
-    """The options that only this study takes; nothing named: all. one_point : only that of the case."""
+    """The options that only this study takes; nothing named: all. points : operating points; None: two."""
 
     controllers: Sequence[str]
     kinds: Sequence[str]
     disturbances: Sequence[str]
-    one_point: bool
+    points: int | None
 
     @property
     def options(self) -> Iterator[str]:
@@ -28,8 +28,8 @@ class Asked:
         yield from (f"--controller {name}" for name in self.controllers)
         yield from (f'--kind "{kind}"' for kind in self.kinds)
         yield from (f'--disturbance "{name}"' for name in self.disturbances)
-        if self.one_point:
-            yield "--one-point"
+        if self.points is not None:
+            yield f"--points {self.points}"
 
     def check_names(self) -> None:
         """Raise UserError for a kind or a disturbance that there is not."""
@@ -83,7 +83,7 @@ def study_wrong(out: Path, asked: Asked) -> tuple[dict[str, Any], Path, Sequence
             default_cache(),
             kinds=asked.kinds or None,
             disturbances=asked.disturbances or None,
-            one_point=asked.one_point,
+            points=2 if asked.points is None else asked.points,
             command=" ".join([f"interarea study {STUDY}", *asked.options, f"--out {out}"]),
             report=report,
         )

@@ -46,7 +46,8 @@
  * What no test can name shows in the end: a wrong signal keeps a swing alive. With level the second largest of the
  * spans of the signals that are present and pass (of two or more; one of them may be the wrong one),
  *
- *     standing  level > standing for standing_time, its least value above STEADY of its largest
+ *     standing  level > standing for standing_time, its least value above STEADY of its largest; or
+ *               level(t) > GROWS level(t - average) GROWTHS times in a row, from where it exceeds standing
  *
  * takes all signals out at once, as if each were isolated: the grid is left to its own damping. They come back when
  * return 2^(n-1) has passed, n the number of such stops, or as soon as the spans of all signals but one have risen to
@@ -83,9 +84,11 @@ enum {
 
 /* Discrete state: a head, then of each signal DM_COUNT numbers. */
 /* M_SINCE: stamps since which level is above `standing`, M_LEAST and M_MOST its range from there; M_STOPPED: time
- * from which all signals are out or NEVER, M_STOPS how often so far, M_UNTIL the time that ends the last. */
+ * from which all signals are out or NEVER, M_STOPS how often so far, M_UNTIL the time that ends the last. M_COMPARED,
+ * M_LEVEL: stamp and level of the last comparison for growth, M_GROWN how many in a row have found it. */
 enum {
-    M_STAMP, M_STAMPS, M_ALARMS, M_SINCE, M_LEAST, M_MOST, M_STOPPED, M_STOPS, M_UNTIL, M_SIGNALS
+    M_STAMP, M_STAMPS, M_ALARMS, M_SINCE, M_LEAST, M_MOST, M_STOPPED, M_STOPS, M_UNTIL, M_COMPARED, M_LEVEL, M_GROWN,
+    M_SIGNALS
 };
 enum {
     DM_ISOLATED, DM_REASON, DM_FAILED_AT, DM_FAILURES, DM_REPEATS, DM_MOVES, DM_FRAMES, DM_MEAN, DM_SPAN, DM_BEND,

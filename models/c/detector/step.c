@@ -49,6 +49,7 @@ BlockStatus block_start(Block *b, double t, BlockMessage *message)
     }
     for (size_t k = 0; k < M_SIGNALS + DM_COUNT * count_of(b); ++k) b->memory[k] = 0.0;
     b->memory[M_STOPPED] = b->memory[M_UNTIL] = NEVER;
+    b->memory[M_LEVEL] = -NEVER; /* no swing before the first is known */
     b->memory[M_STAMP] = ceil((t - SLACK) / b->p[P_INTERVAL]);
     for (size_t k = 0; k < b->layout.n_iy; ++k) b->iy[k] = k < 2 * count_of(b);
     return BLOCK_OK;
@@ -242,7 +243,8 @@ static void compare(Block *b, double t)
     if (reached < m[M_STAMP]) return; /* no new stamp */
     if (reached - m[M_STAMP] >= (double)DETECTOR_FRAMES) { /* after a pause of all of them */
         m[M_STAMP] = reached;
-        m[M_STAMPS] = 0.0;
+        m[M_STAMPS] = m[M_SINCE] = m[M_COMPARED] = m[M_GROWN] = 0.0;
+        for (size_t i = 0; i < count_of(b); ++i) memory_of(b, i)[DM_ALONE] = 0.0;
     }
     (void)patterns_of(b->record, count_of(b), &patterns);
     for (; m[M_STAMP] <= reached; m[M_STAMP] += 1.0, m[M_STAMPS] += 1.0) {

@@ -250,6 +250,19 @@ def test_the_second_point_is_no_designs_and_has_the_stated_load() -> None:
     assert total[1] == pytest.approx(1.02 * total[0])
 
 
+def test_more_points_begin_with_fewer_ones_and_stay_in_the_stated_range() -> None:
+    """Halton's points in bases 2 and 3 of [-1, 1]: (0, -1/3), (-1/2, 1/3), (1/2, -7/9), .. [Halton1960]."""
+    points = points_of(CASE, 5)
+    assert list(points) == [
+        *points_of(CASE),
+        *("load +0 %, tie -25 MW", "load -1.5 %, tie +25 MW", "load +1.5 %, tie -58.3 MW"),
+    ]
+    assert list(points_of(CASE, 1)) == ["base"]
+    total = [sum(q.P_mw for q in case.loads) / sum(q.P_mw for q in CASE.loads) for case in points.values()]
+    assert total == pytest.approx([1.0, 1.02, 1.0, 0.985, 1.015])
+    assert list(points_of(CASE.model_copy(update={"tie": None}), 3)) == ["base", "load +2 %", "load +0 %"]
+
+
 def test_signals_come_from_the_controller_and_witnesses_from_every_area() -> None:
     robust = load_controller("robust")
     result = signals_of(CASE, robust)

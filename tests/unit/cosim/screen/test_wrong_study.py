@@ -103,7 +103,7 @@ def test_a_grid_of_five_areas_has_its_own_detector(tmp_path: Path, monkeypatch: 
     monkeypatch.setattr(detector_design, "_BETWEEN", (1.025,))
     table = load_design("nets_nyps")
     subject = Subject("nets_nyps", load_controller("nets_nyps"), table.grid, fault_place(table))
-    asked = {"kinds": ("times 10",), "disturbances": ("bus fault",), "one_point": True}
+    asked = {"kinds": ("times 10",), "disturbances": ("bus fault",), "points": 1}
     one = study_wrong_signals([subject], tmp_path, default_cache(), **asked)["controllers"][0]
     assert one["no_detector"] == ""
     assert (one["runs_of_each"], one["points"], one["disturbances"]) == (6, ["base"], ["bus fault"])
@@ -129,7 +129,7 @@ def test_a_grid_of_five_areas_has_its_own_detector(tmp_path: Path, monkeypatch: 
         (["worth", "--controller", "robust"], "--controller robust: belongs to the study wrong-signals, not"),
         (["wrong-signals", "--controller", "robost"], "robost"),
         (["worth", "--disturbance", "rest"], '--disturbance "rest": belongs to the study wrong-signals, not'),
-        (["thesis", "--one-point"], "--one-point: belongs to the study wrong-signals, not to thesis"),
+        (["thesis", "--points", "3"], "--points 3: belongs to the study wrong-signals, not to thesis"),
         (
             ["wrong-signals", "--disturbance", "storm"],
             "--disturbance storm: no such one; allowed: rest, pulse, bus fault, tie trip",

@@ -248,6 +248,26 @@ def test_a_small_a_falling_or_a_new_swing_does_not(detector: Path, size: Callabl
     assert follow(detector, swing_of_all(size), 18.0) == {s: [] for s in SIGNALS}
 
 
+def test_a_growing_swing_takes_all_signals_out(detector: Path) -> None:
+    """The span of 2 s doubles in each of two averages from where it exceeds 3e-4 on."""
+    stamps = np.arange(0.0, 14.0, FRAME_S)
+    own = np.array([0.02 * math.exp(0.4 * s) * true_value("a", s) for s in stamps])
+    spans = np.ptp(np.lib.stride_tricks.sliding_window_view(own, round(2.0 / FRAME_S)), axis=1)
+    exceeds_s = 2.0 + FRAME_S * float((spans > 3e-4).argmax())
+    verdicts = follow(detector, swing_of_all(lambda s: 0.02 * math.exp(0.4 * s)), 14.0, return_time=60.0)
+    for changes in verdicts.values():
+        assert [why for _, why in changes] == ["standing", "trusted"]  # it grows without them too
+        assert changes[0][0] == pytest.approx(exceeds_s + 2 * 2.0, abs=5 * FRAME_S)
+    slower = swing_of_all(lambda s: 0.02 * math.exp(0.3 * s))  # by 1.8
+    assert follow(detector, slower, 14.0, standing_time=99.0) == {s: [] for s in SIGNALS}
+
+
+def test_a_second_larger_disturbance_does_not(detector: Path) -> None:
+    """The swing grows in the first average after each disturbance, and in none after it."""
+    twice = swing_of_all(lambda s: (0.3 if s < 4.0 else 1.0) * math.exp(-0.1 * (s - 1.0)))
+    assert follow(detector, twice, 14.0) == {s: [] for s in SIGNALS}
+
+
 def test_signals_come_back_at_once_when_the_swing_grows_without_them(detector: Path) -> None:
     """Not by what the stop itself brings, in two averages after it; once, then not for 60 s."""
     grows = swing_of_all(lambda s: 1.0 if s < 12.5 else 1.8 if s < 20.0 else 3.6)
