@@ -134,7 +134,7 @@ class WrongCertificate:
         ]
         every, right = self.isolations
         if every and not right / every >= NAMED_SHARE:
-            lines.append(f"{every - right} of {every} isolated signals were right, allowed: 1 of 100")
+            lines.append(f"{every - right} of {every} isolated signals were correct ones, allowed: 1 of 100")
         lines += [f"{o.point}, {o.signal} isolated: unstable" for o in self.out if not o.stable]
         return tuple(lines)
 
