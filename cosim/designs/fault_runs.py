@@ -209,6 +209,7 @@ class FaultRuns:
                 if error is not None and not isinstance(error, StepError):
                     raise error
                 yield scenario, master
+                master.detach()
 
     def largest_angles(self, runs: Sequence[GridRun]) -> list[float]:
         """Return the largest angle between two machines of each run, rad; inf if it ended early."""

@@ -246,11 +246,15 @@ class Master:
         logs = (getattr(p, "log", None) for p in self.participants.values())
         return [log for log in logs if isinstance(log, FmuLog)]
 
-    def close(self) -> None:
-        """End all participants."""
+    def detach(self) -> None:
+        """Free the states that the master keeps of its participants, which another master takes over."""
         if self._kernel is not None:
             self._kernel.close()
             self._kernel = None
+
+    def close(self) -> None:
+        """End all participants."""
+        self.detach()
         for p in self.participants.values():
             p.close()
 

@@ -182,8 +182,14 @@ class Kept:
         while self.beginnings and self.beginnings[-1].until_s > after_s:
             self.master.release(self.beginnings.pop().fork.snapshot)
 
+    def detach(self) -> None:
+        """Free what the master made last, if there is one, keeps of the participants."""
+        if self.key is not None:
+            self.master.detach()
+
     def close(self) -> None:
         self.release()
+        self.detach()
         for p in self.participants.values():
             p.close()
 

@@ -373,6 +373,7 @@ class Runner:
             tuple(system.connections),
         )
         if live.key != key:
+            live.detach()
             live.master, live.key = system.master(live.participants.values()), key
         live.system = system
         return live, instances
