@@ -32,6 +32,8 @@ _WORKER = ("eigenvalues.js", "judge.js", "worker.js")
 _AFTER = re.compile(r"\s+/\*[^*]*\*/$")  #: a comment behind code
 _TIGHT = re.compile(r"([:;,{}])\s+|\s+(?=\{)")  #: spaces and ends of lines that a style sheet does without
 _OPERATOR = re.compile(r" (=>|[=!]==|&&|\|\|) ")  #: what no text of the scripts holds
+_SPACED = re.compile(r" (=) |(,) ")  #: in lines without text and patterns; no text has two lines
+_TEXT = frozenset("'\"`/")
 _KEYWORD = re.compile(r"^(if|for|while) \(")
 _BRACE = re.compile(r"(\)|=>) \{$")  #: what opens a block at the end of a line
 _OPEN = re.compile(r"([{,])\n")  #: behind what no statement ends with
@@ -151,5 +153,6 @@ def _compact(text: str) -> str:
             comment = "*/" not in line
         elif line:
             line = _KEYWORD.sub(r"\1(", _BRACE.sub(r"\1{", _AFTER.sub("", line)))
-            lines.append(_OPERATOR.sub(r"\1", line))
+            line = _OPERATOR.sub(r"\1", line)
+            lines.append(_SPACED.sub(r"\1\2", line) if _TEXT.isdisjoint(line) else line)
     return "\n".join(lines)

@@ -262,8 +262,12 @@ static Notes notes_each(Notes notes, const double *memory, const Plan *plan, siz
 enum { FEW_DEVICES = 4 };
 static void run_group(size_t lanes, size_t device, const DeviceGroup *g, const DeviceSignals *in, const num *x, num *dx)
 {
+#ifndef __wasm__   /* a page has the same bits without it, and is shorter */
     const int stage = g->notes.each == NULL && g->notes.onto == NULL;
     if (stage && g->n >= FEW_DEVICES && devices_fit(lanes, device, g, in, x, dx)) return;
+#else
+    (void)lanes;
+#endif
     device_run(device, g, in, x, dx);
 }
 #else
@@ -274,7 +278,7 @@ static void run_group(size_t lanes, size_t device, const DeviceGroup *g, const D
     TILED(device_run, lanes, g->n, device, g, in, x, dx);
 }
 
-#if !defined PLANT_TANGENT && !defined PLANT_LANES
+#if !defined PLANT_TANGENT && !defined PLANT_LANES && !defined __wasm__
 int devices_fit(size_t lanes, size_t device, const DeviceGroup *g, const DeviceSignals *in, const num *x, num *dx)
 {
     double switched = 0.0;
