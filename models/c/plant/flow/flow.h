@@ -84,13 +84,13 @@ static size_t solve_ports(real *memory, const Plan *plan, const num *x, const nu
     const PortCare care = w->notes.stage ? PORT_STEP : PORT_ALONE;
     num *b = work, *more = b + 2 * plan->n_port;
     port_given(memory, plan, 0, w->e_re, w->e_im, linear, b, more);
-    const flag failed = port_iterate(memory, plan, 0, care, w->notes.stage, w->own->warm, w->own->keep, b, x, w->sine, w->cosine,
-                                     w->e_re, w->e_im, w->port, more);
+    const flag failed = port_iterate(memory, plan, 0, care, w->notes.stage, w->own->warm, w->own->keep, b, x, w->sine,
+                                     w->cosine, w->e_re, w->e_im, w->port, more);
     w->e_re[plan->n_machine] = num_pick(failed, NUM(NAN), w->e_re[plan->n_machine]);
     return 0;
 #else
-    const size_t stuck = port_solve(memory, plan, w->lanes, port_care(w), w->exact ? 0 : w->notes.stage, x, w->sine, w->cosine, w->e_re, w->e_im,
-                                    linear, w->port, work);
+    const size_t stuck = port_solve(memory, plan, w->lanes, port_care(w), w->exact ? 0 : w->notes.stage, x, w->sine,
+                                    w->cosine, w->e_re, w->e_im, linear, w->port, work);
     return stuck < plan->n_port ? stuck + 1 : 0;
 #endif
 #endif

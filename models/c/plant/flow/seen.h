@@ -21,11 +21,10 @@ static void see_components(const real *memory, const Plan *plan, const num *x, s
     const real *row = memory + plan->port + P_ROWS * p;
     const num turn = plan->folded > 0 ? value_at(w->turn, memory[plan->bus_part + index_at(row, P_BUS)]) : NUM(0.0);
     const num v_re = w->port.v_re[p], v_im = w->port.v_im[p], scale = NUM(row[P_SCALE]);
-    const num size = num_sqrt(v_re * v_re + v_im * v_im);
-    num sine, cosine, i_re, i_im, kept[DC_KEPT];
+    num sine, cosine, i_re, i_im;
 
     num_sincos(turn, &sine, &cosine);
-    bus_device_injection(row, x, w->sine[at], w->cosine[at], size, v_re, v_im, &i_re, &i_im, DC_NOTHING, NULL, flag_all(), kept);
+    bus_device_current(row, x, w->sine[at], w->cosine[at], v_re, v_im, &i_re, &i_im);
     w->vd[at] = v_re * cosine - v_im * sine;
     w->vq[at] = v_re * sine + v_im * cosine;
     w->id[at] = num_ratio(i_re * cosine - i_im * sine, scale);
@@ -60,7 +59,7 @@ static void see_plant(const real *memory, const Plan *plan, const num *x, size_t
     const int flow = port_measures(memory, plan, p + 2, MEASURE_FLOW) && port_measures(memory, plan, p + 1, MEASURE_REGULATED);
     const size_t bus = port_measures(memory, plan, p + 1, MEASURE_REGULATED) ? p + 1 : p, end = flow ? p + 2 : p;
     const num a_re = w->port.v_re[end], a_im = w->port.v_im[end];
-    num re, im, kept[DC_KEPT];
+    num re, im;
 
 #ifndef PLANT_LANES   /* there the drop may differ from lane to lane; without one these are the same bits */
     if (bus == p && row[P_DROP_R] == 0.0 && row[P_DROP_X] == 0.0) {
@@ -76,8 +75,7 @@ static void see_plant(const real *memory, const Plan *plan, const num *x, size_t
         re = on * (of[P_OWN_RE] * a_re - of[P_OWN_IM] * a_im + of[P_MUTUAL_RE] * b_re - of[P_MUTUAL_IM] * b_im);
         im = on * (of[P_OWN_RE] * a_im + of[P_OWN_IM] * a_re + of[P_MUTUAL_RE] * b_im + of[P_MUTUAL_IM] * b_re);
     } else {
-        bus_device_injection(row, x, w->sine[at], w->cosine[at], num_sqrt(a_re * a_re + a_im * a_im), a_re, a_im, &re, &im,
-                             DC_NOTHING, NULL, flag_all(), kept);
+        bus_device_current(row, x, w->sine[at], w->cosine[at], a_re, a_im, &re, &im);
     }
     see_measured(row, w->port.v_re[bus], w->port.v_im[bus], re, im, a_re, a_im, at, w);
 }

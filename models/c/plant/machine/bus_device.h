@@ -62,7 +62,8 @@ static inline void converter_power(const real *row, const num *x, num v, num *p,
     *q = -(size * across);
 }
 
-/* Current the port injects at the bus voltage v_re + j v_im, whose size is v; known, held, open, kept: of a dc link (dc_link.h). */
+/* Current the port injects at the bus voltage v_re + j v_im, whose size is v; known, held, open, kept: of a dc link
+ * (dc_link.h). */
 static inline void bus_device_injection(const real *row, const num *x, num sine, num cosine, num v, num v_re, num v_im,
                                         num *i_re, num *i_im, DcKnown known, const num *held,
                                         flag open, num *kept)
@@ -96,13 +97,21 @@ static inline void bus_device_injection(const real *row, const num *x, num sine,
     *i_im = along * v_im + across * v_re;
 }
 
+/* The same current where the port's voltage is known and nothing of a dc link. */
+static inline void bus_device_current(const real *row, const num *x, num sine, num cosine, num v_re, num v_im,
+                                      num *i_re, num *i_im)
+{
+    const num v = num_sqrt(v_re * v_re + v_im * v_im);
+    num kept[DC_KEPT];
+    bus_device_injection(row, x, sine, cosine, v, v_re, v_im, i_re, i_im, DC_NOTHING, NULL, flag_all(), kept);
+}
+
 /* Active and reactive power into the network, system base. */
 static inline void bus_device_power(const real *row, const num *x, num sine, num cosine, num v_re, num v_im, num *p,
                                     num *q)
 {
-    const num v = num_sqrt(v_re * v_re + v_im * v_im);
-    num i_re, i_im, kept[DC_KEPT];
-    bus_device_injection(row, x, sine, cosine, v, v_re, v_im, &i_re, &i_im, DC_NOTHING, NULL, flag_all(), kept);
+    num i_re, i_im;
+    bus_device_current(row, x, sine, cosine, v_re, v_im, &i_re, &i_im);
     *p = v_re * i_re + v_im * i_im;
     *q = v_im * i_re - v_re * i_im;
 }

@@ -36,7 +36,6 @@ typedef int flag;
 #define PART(a) (a)
 #endif
 
-
 static inline uint64_t real_bits(double a)
 {
     uint64_t bits;
