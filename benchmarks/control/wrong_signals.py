@@ -187,6 +187,15 @@ def ambient(controller: str, design: Path, hours: float) -> None:
         print(f"| {name} | {max(values):.3f} | {len(values)} | {rate:.1e} |")
 
 
+def swings(y: np.ndarray) -> np.ndarray:
+    """Return the spans of signals (signals, stamps) less the trend of the last 256 stamps, every 2 stamps."""
+    back = int(default.AVERAGE_S / INTERVAL_S)
+    held = np.lib.stride_tricks.sliding_window_view(y, 256, axis=1)[:, :: FRAMES // 2]
+    line = np.polynomial.polynomial.polyfit(np.arange(64.0), held[..., ::4].reshape(-1, 64).T, 1)
+    trend = line[1].reshape(held.shape[:2])[..., None] / 4.0 * np.arange(back)
+    return np.ptp(held[..., -back:] - trend, axis=2)
+
+
 def compared(y: np.ndarray, patterns: Any) -> dict[str, float]:
     """Return the largest of what each test compares over its limit, of signals (signals, stamps)."""
     span = int(default.AVERAGE_S / INTERVAL_S)
@@ -200,7 +209,7 @@ def compared(y: np.ndarray, patterns: Any) -> dict[str, float]:
         "lasting": float(lasting(score, suspect).max()) / patterns.lasting,
         "alone": float(shares(y, patterns.floor).max()) / patterns.alone,
     }
-    level = np.sort(spans, axis=0)[-2]
+    level = np.sort(swings(y), axis=0)[-2]
     long = int(default.STANDING_S / INTERVAL_S) * 2 // FRAMES
     if len(level) >= long:  # the last part of a record may be shorter than what it stands for
         lasts = np.lib.stride_tricks.sliding_window_view(level, long)

@@ -43,14 +43,16 @@
  * A fault near a machine moves that machine alone, but only windows that contain the fault differ much from the
  * patterns: `lasting` is for what follows it, and much less than `pattern`.
  *
- * What no test can name shows in the end: a wrong signal keeps a swing alive. With level the second largest of the
- * spans of the signals that are present and pass (of two or more; one of them may be the wrong one),
+ * What no test can name shows in the end: a wrong signal keeps a swing alive. A swing is the span of u less its
+ * trend, the line that least squares lay through the last STAMPS values, so that a drift of frequency is none; this
+ * line takes less of a slow swing than one through `average` seconds would. With level the second largest of the
+ * swings of the signals that are present and pass (of two or more; one of them may be the wrong one),
  *
  *     standing  level > standing for standing_time, its least value above STEADY of its largest; or
  *               level(t) > GROWS level(t - average) GROWTHS times in a row, from where it exceeds standing
  *
  * takes all signals out at once, as if each were isolated: the grid is left to its own damping. They come back when
- * return 2^(n-1) has passed, n the number of such stops, or as soon as the spans of all signals but one have risen to
+ * return 2^(n-1) has passed, n the number of such stops, or as soon as the swings of all signals but one have risen to
  * WORSE of what they were two averages after the stop, which is a disturbance itself: then the controller was not the
  * cause, and it is not stopped again before that time.
  *
@@ -67,6 +69,7 @@
 #include "../block/block.h"
 
 enum { DETECTOR_SIGNALS = 32, DETECTOR_FRAMES = 512, DETECTOR_STAMPS = 256, DETECTOR_GAP = 5, DETECTOR_ROUGH = 50 };
+enum { DETECTOR_TREND = 4 }; /* of so many stamps one serves for the trend, which is much slower */
 enum { DETECTOR_EVENT = 3 }; /* samples of a window that a fault of .16 s takes part in, beyond those of one instant */
 /* Real inputs: the values, then the ages. */
 /* Real parameters: the common ones, then PER_SIGNAL of each signal. Integer parameter: IP_REPEATS. */
@@ -94,7 +97,7 @@ enum {
     DM_ISOLATED, DM_REASON, DM_FAILED_AT, DM_FAILURES, DM_REPEATS, DM_MOVES, DM_FRAMES, DM_MEAN, DM_SPAN, DM_BEND,
     DM_PATTERN, /* windows in a row that left more than `lasting` */
     DM_ALONE, DM_LEAST, DM_MOST, /* stamp since which a signal swings alone, and the range of its span from there */
-    DM_AT_STOP, /* span two averages after all were taken out */
+    DM_SWING, DM_AT_STOP, /* span less the trend; the same two averages after all were taken out */
     DM_FRAME, /* stamp and value of each of the last frames */
     DM_ALIGNED = DM_FRAME + 2 * DETECTOR_FRAMES,
     DM_COUNT = DM_ALIGNED + DETECTOR_STAMPS

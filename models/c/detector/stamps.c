@@ -3,27 +3,52 @@
 /* A swing whose span falls by less than this in `standing_time` stands: at 0.6 Hz and 15 s a damping of 0.9 %. One of
  * a signal alone in 1.5 `average`: at 1.2 Hz and 3 s a damping of 2.3 %. */
 static const double STEADY = 0.6;
-static const double WORSE = 1.5; /* rise of the span after a stop that beats and noise do not make */
-/* Rise of the second largest span in each of so many averages in a row, at 1.2 Hz and 2 s a damping of -5 %. After
- * one disturbance the span rises in the first of them only. */
+static const double WORSE = 1.5; /* rise of the swing after a stop that beats and noise do not make */
+/* Rise of the second largest swing in each of so many averages in a row, at 1.2 Hz and 2 s a damping of -5 %. After
+ * one disturbance it rises in the first of them only. */
 static const double GROWS = 2.0, GROWTHS = 2.0;
 
-/* Mean and span over the last `count` stamps; NAN where more than a quarter of them lacks a value. */
+/* Rise from stamp to stamp of the line that least squares lay through every TREND-th of the stamps in memory; 0 where
+ * more than a quarter of them lacks a value. */
+static double trend_of(const double *m, size_t newest)
+{
+    double n, x = 0.0, y = 0.0, xx = 0.0, xy = 0.0;
+    size_t known = 0;
+
+    for (size_t back = 0; back <= newest && back < DETECTOR_STAMPS; back += DETECTOR_TREND) {
+        const double value = m[DM_ALIGNED + (newest - back) % DETECTOR_STAMPS], at = -(double)back;
+        if (isnan(value)) continue;
+        ++known;
+        x += at;
+        y += value;
+        xx += at * at;
+        xy += at * value;
+    }
+    n = (double)known;
+    return 4 * DETECTOR_TREND * known >= 3 * DETECTOR_STAMPS ? (n * xy - x * y) / (n * xx - x * x) : 0.0;
+}
+
+/* Mean, span and swing over the last `count` stamps; NAN where more than a quarter of them lacks a value. */
 static void average(double *m, size_t newest, size_t count)
 {
-    double sum = 0.0, least = INFINITY, most = -INFINITY;
+    const double trend = trend_of(m, newest);
+    double sum = 0.0, least = INFINITY, most = -INFINITY, lowest = INFINITY, highest = -INFINITY;
     size_t known = 0;
 
     for (size_t back = 0; back < count; ++back) {
         const double value = m[DM_ALIGNED + (newest - back) % DETECTOR_STAMPS];
+        const double swing = value + trend * (double)back;
         if (isnan(value)) continue;
         sum += value;
-        least = fmin(least, value);
-        most = fmax(most, value);
+        if (value < least) least = value;
+        if (value > most) most = value;
+        if (swing < lowest) lowest = swing;
+        if (swing > highest) highest = swing;
         ++known;
     }
     m[DM_MEAN] = 4 * known >= 3 * count && known > 0 ? sum / (double)known : NAN;
     m[DM_SPAN] = most - least;
+    m[DM_SWING] = highest - lowest;
 }
 
 /* By how much the mean of signal i is apart from the others, over what is allowed; NAN: fewer than two others. */
@@ -131,7 +156,7 @@ static void compare_spans(Block *b, double t, size_t count)
     }
 }
 
-/* The second largest span of the signals that are present and pass; of one alone its own. */
+/* The second largest swing of the signals that are present and pass; of one alone its own. */
 static double level_of(const Block *b)
 {
     double largest = 0.0, second = 0.0;
@@ -141,13 +166,13 @@ static double level_of(const Block *b)
         const double *m = memory_of(b, i);
         if (!trusted(b, i) || isnan(m[DM_MEAN])) continue;
         ++count;
-        second = fmax(second, fmin(m[DM_SPAN], largest));
-        largest = fmax(largest, m[DM_SPAN]);
+        second = fmax(second, fmin(m[DM_SWING], largest));
+        largest = fmax(largest, m[DM_SWING]);
     }
     return count > 1 ? second : largest;
 }
 
-/* What follows a stop: the spans of then, once the stop itself has left them; then whether they have grown since. */
+/* What follows a stop: the swings of then, once the stop itself has left them; then whether they have grown since. */
 static void watch_stop(Block *b, double t)
 {
     const int waits = t < b->memory[M_STOPPED] + 2.0 * b->p[P_AVERAGE] - SLACK;
@@ -155,10 +180,10 @@ static void watch_stop(Block *b, double t)
 
     for (size_t i = 0; i < count_of(b); ++i) {
         double *m = memory_of(b, i);
-        if (waits) m[DM_AT_STOP] = m[DM_SPAN];
+        if (waits) m[DM_AT_STOP] = m[DM_SWING];
         if (waits || !trusted(b, i) || isnan(m[DM_MEAN])) continue;
         ++count;
-        larger += m[DM_SPAN] > WORSE * m[DM_AT_STOP];
+        larger += m[DM_SWING] > WORSE * m[DM_AT_STOP];
     }
     if (larger > 0 && larger + 1 >= count) b->memory[M_STOPPED] = NEVER; /* one of them may be wrong */
 }

@@ -248,8 +248,25 @@ def test_a_small_a_falling_or_a_new_swing_does_not(detector: Path, size: Callabl
     assert follow(detector, swing_of_all(size), 18.0) == {s: [] for s in SIGNALS}
 
 
+@pytest.mark.parametrize(("rate_per_s", "mode_hz"), [(3e-4, 0.5), (-3e-4, 0.5), (0.0, 0.3), (3e-4, 0.3)])
+def test_a_drift_is_no_swing_and_hides_none(detector: Path, rate_per_s: float, mode_hz: float) -> None:
+    """The drift alone spans 6e-4 in 2 s, twice the limit; a swing of 0.3 Hz is slower than the average."""
+
+    def drifts(swing: Callable[[float], float]) -> dict[str, Sent]:
+        def sent(s: float, v: float, side: float) -> float:
+            since = max(s - 1.0, 0.0)
+            return since * rate_per_s + side * swing(since) * math.sin(2 * math.pi * mode_hz * since)
+
+        sides = zip(SIGNALS, (1.0, 1.0, -0.8, -0.8), strict=True)
+        return {name: lambda s, v, side=side: sent(s, v, side) for name, side in sides}  # type: ignore[misc]
+
+    assert follow(detector, drifts(lambda s: 2e-3 * math.exp(-0.3 * s)), 25.0) == {s: [] for s in SIGNALS}
+    for changes in follow(detector, drifts(lambda s: 2e-3), 20.0, return_time=60.0).values():
+        assert [why for _, why in changes] == ["standing"]
+
+
 def test_a_growing_swing_takes_all_signals_out(detector: Path) -> None:
-    """The span of 2 s doubles in each of two averages from where it exceeds 3e-4 on."""
+    """The span of 2 s doubles in each of two averages from where it exceeds 3e-4 on; its trend is small."""
     stamps = np.arange(0.0, 14.0, FRAME_S)
     own = np.array([0.02 * math.exp(0.4 * s) * true_value("a", s) for s in stamps])
     spans = np.ptp(np.lib.stride_tricks.sliding_window_view(own, round(2.0 / FRAME_S)), axis=1)
