@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
+import signal
 from pathlib import Path
 
 import control
@@ -29,6 +30,9 @@ settings.register_profile(
     suppress_health_check=[HealthCheck.too_slow],
 )
 settings.load_profile("interarea")
+
+# A shell lets what it runs in the background ignore Ctrl-C, and the commands of tests would inherit that.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 #: Files whose slow tests take longest, longest first: begun first, or a worker waits for another at the end.

@@ -59,6 +59,7 @@ def by_python(one: dict[str, Any]) -> v.Verdict:
     return motion.verdict(LIMIT_PU)
 
 
+@pytest.mark.slow
 def test_both_give_the_same_verdict_by_the_same_spans(node: Any) -> None:
     rng = np.random.default_rng(7)
     runs = [made_up(rng) for _ in range(300)]
@@ -88,6 +89,7 @@ def test_both_give_the_same_verdict_by_the_same_spans(node: Any) -> None:
     assert set(seen) == {v.SETTLED, v.SLOW, v.STANDING, v.GROWING, v.NOT_JUDGED} and min(seen.values()) > 5
 
 
+@pytest.mark.slow
 def test_a_run_of_the_page_and_of_the_command_come_to_the_same(
     node: Any, data: dict[str, Any], tmp_path: Path
 ) -> None:

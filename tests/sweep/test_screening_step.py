@@ -56,6 +56,7 @@ def test_an_unstable_step_is_not_chosen(tmp_path: Path, cache: Path, monkeypatch
     assert str(choice).startswith("solver step: 2.5 ms; at bus ")
 
 
+@pytest.mark.slow
 def test_results_elsewhere_are_those_of_the_own_step(tmp_path: Path, cache: Path) -> None:
     """New England with three outages has 156 places; the step is compared at three and holds at others."""
     outages = ("3-4", "16-19", "21-22")
@@ -83,6 +84,7 @@ def test_a_prescribed_step_and_few_runs_are_left_alone(tmp_path: Path, cache: Pa
     assert not any(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_runs_that_fail_with_the_chosen_step_are_repeated(tmp_path: Path, cache: Path) -> None:
     """With 10 ms a fault makes the thesis's grid grow without bound; with its own step it has a verdict."""
     long = Screening("two-area-thesis", buses=(8, 5), stop_s=3.0, solver_step_s=0.01)

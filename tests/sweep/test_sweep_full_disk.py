@@ -77,6 +77,7 @@ def test_a_disk_that_fills_up_ends_the_sweep_with_all_that_was_written_and_room_
     pd.testing.assert_frame_equal(kept, written, check_exact=True)
 
 
+@pytest.mark.slow
 def test_a_disk_without_room_for_the_first_files_says_so(disk: Path, document: Any, cache: Path) -> None:
     fill(disk / "ballast")
     with pytest.raises(SweepError, match=r"the disk is full"):

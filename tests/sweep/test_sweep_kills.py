@@ -33,6 +33,7 @@ from interarea.cosim.sweep.workers import pool as sweep_local
 needs_proc = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks for processes in /proc")
 
 
+@pytest.mark.slow
 def test_a_killed_worker_costs_nothing(document: Any, finished: Any, cache: Path, tmp_path: Path) -> None:
     killed: list[int] = []
 

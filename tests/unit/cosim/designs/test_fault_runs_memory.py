@@ -31,6 +31,7 @@ def in_use() -> int:
     return int(libc.mallinfo2().n7)
 
 
+@pytest.mark.slow
 def test_runs_give_back_the_states_of_their_loops() -> None:
     case, controller = load_case("two-area-thesis"), load_controller("robust")
     pulse = {"kind": "vref_pulse", "machine": "G1", "size_pu": 0.05, "start_s": 0.1, "end_s": 0.2}

@@ -54,6 +54,7 @@ def as_parquet(frame: pd.DataFrame, folder: Path) -> Path:
     return folder / "day.parquet"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("write", [as_csv, as_parquet])
 @pytest.mark.parametrize("rows", [7, 333, 10**6])
 def test_parts_are_those_of_the_whole(
@@ -89,6 +90,7 @@ def test_swings_are_followed_and_a_sine_is_named_with_its_times(tmp_path: Path) 
     assert table.damping_ratio[2] == pytest.approx(alone.swings[0].estimates[0].damping_ratio, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_the_command_prints_one_row_a_swing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     frame = day(6, sine_in=(3, 4))
     frame["Time"] = (pd.Timestamp("2026-03-01 23:59:00") + pd.to_timedelta(frame["Time"], unit="s")).astype(

@@ -128,6 +128,7 @@ def test_a_scenario_file_names_it(hand_controller: Controller, file: Path, cache
     assert here.packets["pdc"] == there.packets["pdc"]
 
 
+@pytest.mark.slow
 def test_a_sweep_varies_what_is_around_it(file: Path, cache: Path, tmp_path: Path) -> None:
     size = {"path": "event.1.size_pu", "values": [0.02, 0.03]}
     run_sweep({"scenario": str(file), "parameters": {"size": size}}, tmp_path / "s", workers=1, cache=cache)

@@ -43,6 +43,7 @@ def of_size(size: int, seen: list[np.ndarray], judged: list[np.ndarray]) -> Patt
     return Patterns(free.basis, FRAMES, MARGIN * largest, lasts, FLOOR, 1e9)
 
 
+@pytest.mark.slow
 def test_the_size_is_the_one_that_names_most_wrong_signals() -> None:
     seen, judged = runs(20, 2), runs(2, 3)
     worth = {k: rightly_named(judged, of_size(SIGNALS * k, seen, judged), EVENT) for k in PER_SIGNAL}

@@ -105,6 +105,7 @@ def test_steps_of_a_solver_end_at_the_edges() -> None:
     assert slip == pytest.approx(triangle, abs=1e-15)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("on", "at"),
     [("voltage_reference", {}), ("mechanical_power", {}), ("load", {"load": "L7"}), ("load", {"bus": 9})],

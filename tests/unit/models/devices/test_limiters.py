@@ -63,6 +63,7 @@ def output(field: Callable[[float], float], times: np.ndarray, **changed: float)
     return np.clip(run.y[point.instance.state_names.index("vl")], low, high)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("size", "acts_s"), [(1.1001, 59.97), (1.15, 45.0), (1.2, 30.0), (1.35, 22.5), (1.5, 15.0), (3.0, 15.0)]
 )
@@ -74,6 +75,7 @@ def test_the_time_allowed_falls_along_the_points(size: float, acts_s: float) -> 
     assert output(lambda t: size, times) == pytest.approx(np.maximum(wanted, -LOW), abs=0.03 * abs(slope))
 
 
+@pytest.mark.slow
 def test_it_ends_where_less_is_asked_for_and_begins_anew() -> None:
     """Down to VLOW by 1.2, up again from 35 s on by 0.9 (0.004 a second), and a clock that begins at 0."""
 
@@ -102,6 +104,7 @@ def case_of(folder: Path, *fields: float) -> Case:
 RECORD = (1, 1.9, 1.03, 4, 1.1, 3, 1.25, 2, 1.025, 0.05, -0.1)
 
 
+@pytest.mark.slow
 def test_in_a_machine_it_takes_the_field_back_to_what_it_holds(tmp_path: Path) -> None:
     """A reference raised by 0.03 pu; without the record the field does not come back."""
     ends = []

@@ -199,6 +199,7 @@ BUS_FREQUENCY = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", BUS_FREQUENCY)
 @pytest.mark.parametrize("hz", [50.0, 60.0])
 def test_a_bus_frequency_is_that_of_its_voltage(kind: str, hz: float) -> None:
@@ -258,6 +259,7 @@ DERIVATIVE = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", DERIVATIVE)
 def test_the_derivative_of_the_voltage_is_an_input(kind: str) -> None:
     """ICS = 6, gain 1 and nothing else: s/(1 + s 10 ms) of the terminal voltage, by its steady swing."""
@@ -330,6 +332,7 @@ def test_the_speed_deadband_of_wsieg1(err: float, beyond: float) -> None:
             assert signal == pytest.approx(sign * 20.0 * wanted, rel=1e-12, abs=1e-15)
 
 
+@pytest.mark.slow
 def test_the_backlash_of_wsieg1_is_a_play_of_its_width() -> None:
     """Against steps of 0.1 ms in which the valve behind the backlash is pushed along at once."""
     width, stop, h = 0.01, 12.0, 1e-4

@@ -112,6 +112,7 @@ def written_again(p: dict[str, float], done: str, stop_s: float, h: float, every
     return np.array(out)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("done", "source"), [*((name, 0.0) for name in DONE), ("a fault", 2.0)])
 def test_st8c_follows_a_second_writing(done: str, source: float) -> None:
     """Within 3.1e-3 of the range of the field voltage, 5e-5 where no input jumps."""

@@ -165,6 +165,7 @@ def block_diagram(time_s, volts, first, p):
     return dict(zip(names, np.array(course).T, strict=True))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", HOLDS)
 def test_it_follows_the_block_diagram(name):
     """And what the run is about acts: the diagram with another value of that goes elsewhere."""

@@ -58,6 +58,7 @@ def test_at_rest_it_stands_for_20_s_and_a_plant_without_store_has_no_such_state(
     assert "b1.soc" not in BlockShim(plant_block(with_battery(BATTERY=0))).state_names
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("p_mod", [0.1, -0.2])
 def test_the_charge_falls_by_what_it_gives_beyond_its_rest(p_mod):
     """soc = SOCini - (1/Tsoc) int (p - p0) dt; once the order is carried out, by p_mod t/Tsoc."""

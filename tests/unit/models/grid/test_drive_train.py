@@ -43,6 +43,7 @@ def test_it_rests_and_the_derivatives_are_those_of_differences(name, network, ba
     assert off < 1e-7 and outputs_off < 1e-6
 
 
+@pytest.mark.slow
 def test_at_rest_it_stands_for_20_s():
     _, own, p = run(TRAINS["speed"][0], 20.0)
     assert max(np.max(np.abs(path - path[0])) for path in (*own.values(), p)) < 1e-11
@@ -51,6 +52,7 @@ def test_at_rest_it_stands_for_20_s():
 FAULT = {"kind": "bus_fault", "bus": 8, "start_s": 0.1, "end_s": 0.25, "x_pu": 0.05}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("PFLAG", [0, 1])
 @pytest.mark.parametrize("two", [False, True])
 def test_what_it_takes_and_gives_is_its_energy(two, PFLAG):

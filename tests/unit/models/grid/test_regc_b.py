@@ -94,6 +94,7 @@ def block_diagram(first, at, p, p_mod, q_mod):
 ORDER = ("vm", "vf", "pord", "iqlag", "ipg", "iqg", "ip", "iq")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("more", "reaches"),
     [

@@ -128,6 +128,7 @@ def block_diagram(first, at, p, p_mod, q_mod):
 ORDER = ("vm", "vf", "pord", "iqlag", "ipg", "iqg", "wpll", "theta", "ipu", "iqu", "ed", "eq")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("more", "reaches"),
     [

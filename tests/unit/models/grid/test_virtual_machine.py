@@ -239,6 +239,7 @@ def both(case, seconds, events=(), fault=None, step_s=0.0005, **inputs):
     return time_s, states, y, {n: wanted[m][::5] for n, m in zip(STATES, Second.ORDER, strict=True)}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("more", [{}, {"wFlag": 1, "Re": 0.02, "mq": 0.1, "D1": 5.0, "D2": 20.0}])
 def test_it_follows_the_diagram_within_its_limits(more):
     _, states, _, wanted = both(alone(**more), 1.5, p_mod=0.1, q_mod=0.01)
@@ -251,6 +252,7 @@ FAULT = {"kind": "bus_fault", "bus": 1, "start_s": 0.05, "end_s": 0.15, "x_pu": 
 SHORT = 0.00125  #: s, Te: what follows a limit that moves is late by it, which the second writing is not
 
 
+@pytest.mark.slow
 def test_a_fault_meets_the_limits_as_in_the_diagram():
     """Emax falls with the voltage, so E follows it by Te: its error is Te times how fast that limit moves."""
     case = alone(Te=SHORT)
@@ -270,6 +272,7 @@ def test_a_fault_meets_the_limits_as_in_the_diagram():
     assert np.angle(free[limited] / current[limited]) == pytest.approx(0.0, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_the_angle_to_the_pll_stays_within_a_limit_that_moves():
     """p_mod asks for 1.2 of a steady limit of .9: the largest angle moves in until the current fits."""
     case = alone(P_mw=80.0, Te=SHORT)

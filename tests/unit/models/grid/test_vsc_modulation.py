@@ -125,6 +125,7 @@ def test_a_step_of_voltage_ends_at_that_voltage_with_the_reactive_power_that_it_
     )  # the other end keeps it
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("keeps", "limit"), [("q", "q_mod_pu"), ("v", "v_mod_pu")])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_beyond_its_limit_an_input_does_no_more(keeps, limit, sign):

@@ -181,6 +181,7 @@ RUNS = {
 ANGLES = ("pitch", "pitwi", "pitci")  # degrees
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", RUNS)
 def test_it_follows_the_block_diagram(name):
     """Within 2e-6 pu and 2e-3 degrees; the diagram without what the run is about goes elsewhere."""
@@ -196,6 +197,7 @@ def test_it_follows_the_block_diagram(name):
     assert max(np.max(np.abs(other[key] - wanted[key])) for key in ORDER) > 5e-3
 
 
+@pytest.mark.slow
 def test_where_the_wind_is_more_than_the_plant_asks_the_blades_turn():
     """After a step of the plant's reference to P1: Ka pitch (pitch - theta0) = P0 - P1 at the speed of P1."""
     slow = {"plant_Kpg": 0.1, "plant_Kig": 0.3, "Twref": 1.0}
