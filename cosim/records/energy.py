@@ -12,30 +12,21 @@ answer is therefore a hint; its checks: the ends of a line agree, one terminal d
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy.ndimage import median_filter
-from scipy.signal import butter, sosfiltfilt
 
-from interarea.models.devices.language.device import USUAL_HZ
-
+from .line_ends import LineEnds, line_ends, pairs_of
 from .record import BAND_HZ, Array, Record, RecordError
+from .terminals import Narrow, Terminal, terminals_of
 
-_SIDE_HZ, _SIDE = 0.15, 0.25  # of the band-pass, at most this share of the frequency
-_EDGE_PERIODS = 2.0  # left out at both ends, where the filter sets in
 _LEAST_PERIODS = 10.0
 _CLEAR = 2.0  # of the largest inflow over the next: less is no single source
-_AGREE = 0.2  # of the difference of the ends of a line over their mean
 _STANDS_OUT = 5.0  # of the line over the median of the spectrum around it
 _FLOOR_HZ = 0.8
-_ROTATING = {"speed", "rotor angle"}  # what only a machine has
-_PHASES = 3.0  # of a line whose voltage is from phase to ground
 
 
 @dataclass(frozen=True)
@@ -62,14 +53,14 @@ class Source:
     flows: tuple[Flow, ...]
     source: str
     why: str
-    lines: tuple[tuple[str, str, float], ...]
+    lines: tuple[LineEnds, ...]
     notes: tuple[str, ...]
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain types, for JSON."""
         plain = {k: v for k, v in vars(self).items() if k not in ("flows", "lines", "notes")}
         plain["flows"] = [{**vars(f), "halves": list(f.halves)} for f in self.flows]
-        return {**plain, "lines": [list(line) for line in self.lines], "notes": list(self.notes)}
+        return {**plain, "lines": [line.as_dict() for line in self.lines], "notes": list(self.notes)}
 
 
 def located(
@@ -102,12 +93,13 @@ def located(
             f"{record.source}: {record.length_s:.4g} s are {record.length_s * f:.3g} periods of {f:.3g} Hz, "
             f"wanted: {_LEAST_PERIODS:g} at least, {_LEAST_PERIODS / f:.3g} s"
         )
-    flows = _flows(record, terminals, f)
+    narrow = Narrow(f, record.step_s)
+    flows = _flows(terminals, narrow)
     source, why = _verdict(flows)
-    lines = tuple(_line_ends(flows))
-    apart = [line for line in lines if not line[2] <= _AGREE]
-    if apart and source in {name for line in apart for name in line[:2]}:
-        source, why = "", f"the ends of {apart[0][0]} and {apart[0][1]} disagree by {apart[0][2]:.0%}; {why}"
+    lines = tuple(line_ends(a, b, narrow) for a, b in pairs_of(terminals))
+    apart = [line for line in lines if not line.agree and source in line.ends]
+    if apart:
+        source, why = "", f"{apart[0].text}; {why}"
     without_q = [t.name for t in terminals if t.Q is None]
     if without_q:
         notes.append(f"{', '.join(without_q[:4])}: no reactive power, its term is omitted")
@@ -147,35 +139,19 @@ def strongest_line(record: Record, signals: Sequence[Array], band_hz: tuple[floa
     return float(f[np.argmax(size)])
 
 
-def _flows(record: Record, terminals: Sequence[Terminal], f: float) -> list[Flow]:
-    """Return slope of W at each terminal, of the record and of its halves."""
-    side = min(_SIDE_HZ, _SIDE * f)
-    sos = butter(
-        2, [2.0 * record.step_s * (f - side), 2.0 * record.step_s * (f + side)], "band", output="sos"
-    )
-
-    def swinging(values: Array) -> Array:
-        line = np.linspace(values[0], values[-1], len(values))
-        return np.asarray(sosfiltfilt(sos, values - line))
-
-    edge = min(round(_EDGE_PERIODS / f / record.step_s), len(record.time_s) // 8)
-    flows = []
-    for t in terminals:
-        P, theta = swinging(t.P), swinging(t.angle)
-        power = P * np.gradient(theta, record.step_s)
-        if t.Q is not None:
-            power = power + swinging(t.Q) * np.gradient(swinging(t.log_v), record.step_s)
-        power = power[edge : len(power) - edge]
-        middle = len(power) // 2
-        W = np.cumsum(power) * record.step_s
-        slopes = [_slope(w, record.step_s) for w in (W, W[:middle], W[middle:])]
-        flows.append(Flow(t.name, slopes[0], (slopes[1], slopes[2]), float(P.std()), t.machine))
-    return flows
-
-
-def _slope(W: Array, step_s: float) -> float:
-    """Return the slope of the line through W."""
-    return float(np.polyfit(np.arange(len(W)) * step_s, W, 1)[0])
+def _flows(terminals: Sequence[Terminal], narrow: Narrow) -> list[Flow]:
+    """Return the slopes of W at terminals, of the record and of its halves."""
+    P = np.column_stack([t.P for t in terminals])
+    Q = np.column_stack([np.zeros_like(t.P) if t.Q is None else t.Q for t in terminals])
+    log_v, angle = (np.column_stack(x) for x in zip(*((t.log_v, t.angle) for t in terminals), strict=True))
+    power = narrow.power(P, Q, log_v, angle)
+    middle = len(power) // 2
+    slopes = [narrow.slopes(part).tolist() for part in (power, power[:middle], power[middle:])]
+    rms = narrow.of(P).std(axis=0).tolist()
+    return [
+        Flow(t.name, whole, (first, second), size, t.machine)
+        for t, whole, first, second, size in zip(terminals, *slopes, rms, strict=True)
+    ]
 
 
 def _verdict(flows: Sequence[Flow]) -> tuple[str, str]:
@@ -206,127 +182,3 @@ def _otherwise(flows: Sequence[Flow], first: Flow) -> str | None:
     if other is not None:
         return other.terminal
     return None if max(first.halves) < 0.0 else "no terminal"
-
-
-def _line_ends(flows: Sequence[Flow]) -> list[tuple[str, str, float]]:
-    """Return the pairs of terminals that are the two ends of one line, and how much their flows differ.
-
-    In the IEEE form both have one device name, such as ``Ln:4-6``, at two substations.
-    """
-    pairs = []
-    for a, b in combinations(flows, 2):
-        ends = [":".join(flow.terminal.split(":")[2:]) for flow in (a, b)]
-        if ends[0] and ends[0] == ends[1] and "-" in ends[0]:
-            mean = 0.5 * (abs(a.slope) + abs(b.slope))
-            pairs.append((a.terminal, b.terminal, abs(a.slope + b.slope) / mean if mean > 0.0 else 0.0))
-    return pairs
-
-
-@dataclass(frozen=True, eq=False)
-class Terminal:
-    """A place where power flows out of a bus. P, Q : MW, Mvar or pu. log_v : ln |V|. angle : rad.
-    machine : whether it is one of a machine."""
-
-    name: str
-    P: Array
-    Q: Array | None
-    log_v: Array
-    angle: Array
-    unit: str
-    machine: bool
-
-
-def terminals_of(
-    record: Record, at: Mapping[str, str] | None = None, rated_hz: float | None = None
-) -> tuple[list[Terminal], list[str]]:
-    """Return the terminals with sufficient measurements, and notes on the others.
-
-    at : terminal -> the terminal that has its voltage and angle, as ``branch[7-8]`` -> ``bus7``. rated_hz :
-    of speeds in pu; None: 60, with a note where a speed is used.
-
-    Only powers of one unit can be compared: that of most machines, without machines that of most terminals.
-    A terminal needs P (or V, I and both angles) and an angle (or a speed or frequency, whose integral is
-    taken). Power counts out of the bus, that of a machine, which has a speed, into it.
-    Phasors in kV from phase to ground and A give three phases.
-    """
-    terminals, notes, by_speed = [], [], []
-    for name in record.terminals:
-        place = (at or {}).get(name, name)
-        terminal, missing = _terminal(record, name, place, rated_hz or USUAL_HZ)
-        if terminal is not None:
-            terminals.append(terminal)
-            measured = record.terminals.get(place, {}).keys()
-            by_speed += [] if measured & {"voltage angle", "frequency"} else [name]
-        elif missing:
-            notes.append(f"{name}: no {missing}, left out")
-    if not terminals:
-        raise RecordError(
-            f"{record.source}: no terminal has power and angle, wanted at each: V, I and their angles, "
-            "or P, Q, V and an angle"
-        )
-    if by_speed and rated_hz is None:
-        notes.append(f"speeds are taken as pu of {USUAL_HZ:g} Hz; a case has the rated frequency")
-    return _of_one_unit(terminals, notes), notes
-
-
-def _of_one_unit(terminals: Sequence[Terminal], notes: list[str]) -> list[Terminal]:
-    """Return the terminals whose powers can be compared; add a note on the others."""
-    units = Counter(t.unit for t in terminals if t.machine) or Counter(t.unit for t in terminals)
-    unit = units.most_common(1)[0][0]
-    other = [t for t in terminals if t.unit != unit]
-    if other:
-        names = ", ".join(t.name for t in other[:4]) + (f" and {len(other) - 4} more" if other[4:] else "")
-        notes.append(f"{names}: power in {other[0].unit}, not in {unit} as elsewhere: left out")
-    return [t for t in terminals if t.unit == unit]
-
-
-def _terminal(record: Record, name: str, place: str, rated_hz: float) -> tuple[Terminal | None, str]:
-    """Return a terminal, or None and what it lacks ("" where it has no power at all)."""
-    voltage, angle = record.of(place, "voltage"), record.of(place, "voltage angle")
-    P, Q = record.of(name, "active power"), record.of(name, "reactive power")
-    unit = _unit_of(record, name, "active power")
-    if P is None:
-        S, unit, missing = _of_phasors(record, name, place)
-        if S is None:
-            return None, missing
-        P, Q = np.asarray(S.real), np.asarray(S.imag)
-    machine = bool(record.terminals[name].keys() & _ROTATING)
-    if machine:  # its power counts into the bus
-        P, Q = -P, None if Q is None else -Q
-    if voltage is None or not np.min(voltage) > 0.0:
-        return None, "voltage above 0"
-    if angle is None:
-        angle = _integrated(record, place, rated_hz)
-    if angle is None:
-        return None, "angle, frequency or speed"
-    return Terminal(name, P, Q, np.log(voltage), angle, unit, machine), ""
-
-
-def _of_phasors(record: Record, name: str, place: str) -> tuple[npt.NDArray[np.complex128] | None, str, str]:
-    """Return P + jQ of the phasors at a terminal, its unit, and what is missing; as `_terminal`."""
-    voltage, angle = record.of(place, "voltage"), record.of(place, "voltage angle")
-    current, turned = record.of(name, "current"), record.of(name, "current angle")
-    if current is None:
-        return None, "", ""
-    if voltage is None or angle is None or turned is None:
-        return None, "", "voltage with its angle" if turned is not None else "angle of the current"
-    both = _unit_of(record, place, "voltage") == "kV"
-    if both != (_unit_of(record, name, "current") == "A"):
-        return None, "", "voltage and current that are both pu, or kV and A"
-    S = voltage * current * np.exp(1j * (angle - turned)) * (_PHASES * 1e-3 if both else 1.0)
-    return S, "MW" if both else "pu", ""
-
-
-def _unit_of(record: Record, terminal: str, quantity: str) -> str:
-    name = record.terminals.get(terminal, {}).get(quantity)
-    return next((c.unit for c in record.channels if c.name == name), "")
-
-
-def _integrated(record: Record, place: str, rated_hz: float) -> Array | None:
-    """Return the angle (rad) that a frequency, or a speed in pu of `rated_hz`, adds up to."""
-    frequency, speed = record.of(place, "frequency"), record.of(place, "speed")
-    if frequency is None and speed is None:
-        return None
-    hertz = frequency if frequency is not None else rated_hz * np.asarray(speed)
-    turned = 2.0 * np.pi * record.step_s * np.asarray(hertz - np.mean(hertz))
-    return np.concatenate([[0.0], np.cumsum(0.5 * (turned[1:] + turned[:-1]))])

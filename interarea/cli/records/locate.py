@@ -117,6 +117,6 @@ def _print(result: Source) -> None:
         for f in result.flows[:_SHOWN]
     ]
     print_table(title, ("terminal", f"energy out of the bus, {result.unit}", "halves", "rms of P"), rows)
-    for a, b, apart in result.lines:
-        typer.echo(f"the ends {a} and {b} agree to {apart:.1%}")
+    for line in result.lines:
+        typer.echo(line.text)
     typer.echo(f"by the energy flow: {result.source or 'not named'}; {result.why}")
