@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +15,7 @@ from interarea.models.documents import not_utf8, require_regular
 
 from ...trajectory import TIME
 from ..record import UNITS, Array, Channel, RecordError
+from .clock import Clock, begins_with_time, dated, time_in_two
 from .comtrade import read_comtrade
 from .names import (
     Raw,
@@ -32,9 +33,7 @@ if TYPE_CHECKING:
 
 WANTED = "a PMU csv, COMTRADE (.cfg, .cff), channels of PSS/E as csv, or trajectory.csv or .parquet of a run"
 _HEADER_ROWS = 12  # in which a row that begins with a time is looked for
-_TIME_CELL = re.compile(r"\s*\"?(time|t|timestamp|date ?time|zeit)(?![a-z])", re.IGNORECASE)
 _DECIMAL_COMMA = re.compile(r"\s*[-+]?\d*,\d+(?:[eE][-+]?\d+)?\s*")
-_YEARS = (1900, 2200)  # of a date of a sample
 _MOST_TEXT = 0.05  # of the samples of a column: more are no number, and it is no channel
 _IEEE_SAID = "PMU csv of the IEEE form; kV are phase to ground, power is of three phases"
 _PSSE_SAID = "channels of PSS/E: FREQ as pu of {:g} Hz, powers of machines as pu of SBASE"
@@ -53,67 +52,6 @@ class Table:
     raws: list[Raw]
     notes: list[str]
     start: str
-
-
-@dataclass
-class Clock:
-    """Turns stamps into seconds from the first one that it is given. start : that one, where it is a date.
-
-    unit_s : of stamps that are numbers.
-    """
-
-    source: object
-    unit_s: float = 1.0
-    start: str = ""
-    _first: Any = field(default=None, repr=False)
-
-    def seconds(self, column: Any, skipped: int = 0) -> Array:
-        """Return times, s. column : pandas Series of numbers or dates. skipped : rows before it.
-
-        Raises
-        ------
-        RecordError : a cell that is neither.
-        """
-        import pandas as pd
-
-        dates = column
-        if not pd.api.types.is_datetime64_any_dtype(column):
-            numbers = pd.to_numeric(column, errors="coerce")
-            numbers = numbers.where(np.isfinite(numbers))
-            if numbers.notna().all():
-                return np.asarray(self._since(numbers.to_numpy(dtype=float), "") * self.unit_s)
-            mostly = numbers.notna().mean() > 0.5
-            dates = numbers if mostly else _dates(column)
-        wrong = np.asarray(dates.isna())
-        if not wrong.any():
-            years = pd.DatetimeIndex(dates).year
-            wrong = np.asarray((years < _YEARS[0]) | (years > _YEARS[1]))
-        if wrong.any():
-            row = int(np.flatnonzero(wrong)[0])
-            raise RecordError(
-                f"{self.source}: row {skipped + row + 1} has {str(column.iloc[row])[:40]!r} for its time, "
-                "wanted: seconds or a date"
-            )
-        return np.asarray(self._since(pd.DatetimeIndex(dates).as_unit("ns").asi8, str(dates.iloc[0])) / 1e9)
-
-    def _since(self, values: Any, start: str) -> Any:
-        if self._first is None:
-            self._first, self.start = values[0], start
-        return values - self._first
-
-
-def _dates(column: Any) -> Any:
-    """Return a column of texts as dates, NaT where one is none; in UTC if the zone changes, as in spring.
-
-    Of 05.04.2025 the day comes first, of 04/05/2025 the month.
-    """
-    import pandas as pd
-
-    first = re.match(r"\s*\d{1,2}\.\d{1,2}\.\d{4}", str(column.iloc[0])) is not None
-    try:
-        return pd.to_datetime(column, errors="coerce", format="mixed", dayfirst=first)
-    except ValueError:
-        return pd.to_datetime(column, errors="coerce", format="mixed", dayfirst=first, utc=True)
 
 
 def require_record(path: str | Path) -> None:
@@ -161,31 +99,37 @@ def tables_of(source: Any, frequency_hz: float, rows: int | None = None) -> Iter
 def _csv(path: Path, frequency_hz: float, rows: int | None) -> Iterator[Table]:
     numbered = _top(path)
     lines = [line for _, line in numbered]
-    sample = next((line for line in lines if _TIME_CELL.match(line)), lines[0])
+    sample = next((line for line in lines if begins_with_time(line)), lines[0])
     separator = max(",;\t", key=sample.count)
     top = list(csv.reader(lines, delimiter=separator))
     decimal = _decimal(separator, top)
     header, first = _header(path, top, decimal)
-    extra = top[header + 1 : first]
     names = [cell.strip() or f"column {k + 1}" for k, cell in enumerate(top[header])]
-    raws, notes = _named_columns(path, names, extra, frequency_hz)
-    clock = Clock(path, time_unit_s(names[0], *(row[0] for row in extra if row)))
     spare = _spare_cells(path, top, first, len(names))
     form = _Form(numbered[first][0], len(names), spare, separator, decimal)
+    after = 2 if time_in_two(names) else 1  # the columns of the time
+    names, *extra = ([row[0], *row[after:]] for row in (names, *top[header + 1 : first]))
+    raws, notes = _named_columns(path, names, extra, frequency_hz)
+    clock = Clock(path, time_unit_s(names[0], *(row[0] for row in extra)))
     skipped = form.first
     for frame in _frames(path, form, rows):
-        stamps = clock.seconds(frame[0], skipped)
+        stamps = clock.seconds(frame[0] if after == 1 else clock.joined(frame[0], frame[1]), skipped)
         skipped += len(frame)
-        values, texts = _numbers(frame)
-        keep = [k for k, share in enumerate(texts) if share <= _MOST_TEXT]
-        if not keep:
-            raise RecordError(f"{path}: no column holds numbers, wanted: {WANTED}")
-        left_out = [
-            f"{raws[k].channel.name}: {share:.0%} of its cells are not numbers: left out"
-            for k, share in enumerate(texts)
-            if k not in keep
-        ]
+        values, texts = _numbers(frame.iloc[:, after:])
+        keep, left_out = _of_numbers(path, raws, texts)
         yield Table(stamps, values[:, keep], [raws[k] for k in keep], [*notes, *left_out], clock.start)
+
+
+def _of_numbers(path: Path, raws: Sequence[Raw], texts: Sequence[float]) -> tuple[list[int], list[str]]:
+    """Return which columns hold numbers, and notes on the others. texts : share of cells without one."""
+    keep = [k for k, share in enumerate(texts) if share <= _MOST_TEXT]
+    if not keep:
+        raise RecordError(f"{path}: no column holds numbers, wanted: {WANTED}")
+    return keep, [
+        f"{raws[k].channel.name}: {share:.0%} of its cells are not numbers: left out"
+        for k, share in enumerate(texts)
+        if k not in keep
+    ]
 
 
 def _top(path: Path) -> list[tuple[int, str]]:
@@ -250,20 +194,20 @@ def _frames(path: Path, form: _Form, rows: int | None) -> Iterator[pd.DataFrame]
 
 
 def _numbers(frame: pd.DataFrame) -> tuple[Array, list[float]]:
-    """Return values (samples, columns after the first), and of each the share of cells without a number."""
+    """Return values (samples, columns), and of each column the share of cells without a number."""
     import pandas as pd
 
     columns, texts = [], []
-    for k in range(1, frame.shape[1]):
-        numbers = pd.to_numeric(frame[k], errors="coerce")
-        texts.append(float((numbers.isna() & frame[k].notna()).mean()))
+    for _, column in frame.items():
+        numbers = pd.to_numeric(column, errors="coerce")
+        texts.append(float((numbers.isna() & column.notna()).mean()))
         columns.append(numbers.to_numpy(dtype=float))
     return np.column_stack(columns), texts
 
 
 def _header(path: Path, rows: list[list[str]], decimal: str) -> tuple[int, int]:
     """Return the row that names the columns and that of the first sample."""
-    header = next((k for k, row in enumerate(rows) if len(row) > 1 and _TIME_CELL.match(row[0])), None)
+    header = next((k for k, row in enumerate(rows) if len(row) > 1 and begins_with_time(row[0])), None)
     if header is None:
         raise RecordError(f"{path}: no row begins with Time and names columns, wanted: {WANTED}")
     first = next((k for k in range(header + 1, len(rows)) if _is_data(rows[k], decimal)), None)
@@ -286,8 +230,7 @@ def _is_data(row: Sequence[str], decimal: str) -> bool:
             return False
         return True
 
-    dated = bool(row) and re.match(r"\s*\d{1,4}[-/.]\d{1,2}[-/.]\d{1,4}[ T]\d", row[0])
-    return bool(row) and (number(row[0]) or bool(dated)) and any(number(c) for c in row[1:])
+    return bool(row) and (number(row[0]) or dated(row[0])) and any(number(c) for c in row[1:])
 
 
 def _named_columns(
@@ -373,7 +316,7 @@ def _frame(frame: pd.DataFrame, clock: Clock) -> Table:
     units, quantities, terminals = (
         _words(frame, keys, clock.source) for keys in (("units", "unit"), ("quantity",), ("terminal",))
     )
-    column, frame = _without_time(frame, clock.source)
+    column, frame = _without_time(frame, clock)
     clock.unit_s = time_unit_s(str(column.name), str(units.get(column.name, "")))
     stamps = clock.seconds(column.reset_index(drop=True))
     raws, columns = [], []
@@ -393,22 +336,31 @@ def _frame(frame: pd.DataFrame, clock: Clock) -> Table:
     return Table(stamps, np.column_stack(columns), raws, [], clock.start)
 
 
-def _without_time(frame: pd.DataFrame, source: object) -> tuple[pd.Series[Any], pd.DataFrame]:
+def _without_time(frame: pd.DataFrame, clock: Clock) -> tuple[pd.Series[Any], pd.DataFrame]:
     """Return the times of a DataFrame, and its other columns, none of complex numbers."""
-    times = [k for k, c in enumerate(frame.columns) if _TIME_CELL.match(str(c)) or str(c) == TIME]
+    times = [k for k, c in enumerate(frame.columns) if begins_with_time(str(c)) or str(c) == TIME]
     if times:
-        column, frame = frame.iloc[:, times[0]], frame.iloc[:, np.arange(frame.shape[1]) != times[0]]
+        column, frame = _column_of_times(frame, times[0], clock)
     elif frame.index.dtype.kind in "fMm" or str(frame.index.name) == TIME:
         column = frame.index.to_series()
     else:
-        raise RecordError(f"{source}: no column Time and no index of times, wanted: one of them")
+        raise RecordError(f"{clock.source}: no column Time and no index of times, wanted: one of them")
     if column.dtype.kind == "m":
         column = column.dt.total_seconds().rename(TIME)
     if wrong := [str(c.name) for c in (column, *(c for _, c in frame.items())) if c.dtype.kind == "c"]:
         raise RecordError(
-            f"{source}: {wrong[0]!r} has complex numbers, wanted: real ones, as magnitude and angle"
+            f"{clock.source}: {wrong[0]!r} has complex numbers, wanted: real ones, as magnitude and angle"
         )
     return column, frame
+
+
+def _column_of_times(frame: pd.DataFrame, k: int, clock: Clock) -> tuple[pd.Series[Any], pd.DataFrame]:
+    """Return the times that begin at column k of a DataFrame, and its other columns."""
+    two = time_in_two([str(c) for c in frame.columns[k:]])
+    others = frame.iloc[:, [j for j in range(frame.shape[1]) if not k <= j <= k + two]]
+    if not two:
+        return frame.iloc[:, k], others
+    return clock.joined(frame.iloc[:, k], frame.iloc[:, k + 1]).rename(frame.columns[k]), others
 
 
 def _words(frame: pd.DataFrame, keys: Sequence[str], source: object) -> Mapping[Any, str]:

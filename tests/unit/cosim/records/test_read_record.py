@@ -428,6 +428,54 @@ def test_of_a_date_with_points_the_day_comes_first(tmp_path: Path) -> None:
     assert record.length_s == pytest.approx(TIME[-1], abs=1e-3)
 
 
+@pytest.mark.parametrize(
+    ("head", "separator"),
+    [
+        ("Date,Time,F [Hz]", ","),
+        ("Datum;Uhrzeit;F [Hz]", ";"),
+        ("UTC;F [Hz]", ";"),
+        ("Zeitstempel;F [Hz]", ";"),
+    ],
+)
+def test_a_day_may_stand_beside_its_time(head: str, separator: str, tmp_path: Path) -> None:
+    """Over midnight, with decimal commas between semicolons; as a frame too."""
+    stamps = pd.Timestamp("2025-04-28 23:59:58") + pd.to_timedelta(TIME, unit="s")
+    between = separator if head.count(separator) == 2 else " "
+    rows = [
+        f"{s:%Y-%m-%d}{between}{s:%H:%M:%S.%f}{separator}{v:.6f}" for s, v in zip(stamps, SWING, strict=True)
+    ]
+    text = "\n".join([head, *rows])
+    (tmp_path / "r.csv").write_text(text.replace(".", ",") if separator == ";" else text)
+    record = read_record(tmp_path / "r.csv")
+    assert record.start.startswith("2025-04-28 23:59:58")
+    assert record.length_s == pytest.approx(TIME[-1], abs=1e-5)
+    assert [c.quantity for c in record.channels] == ["frequency"]
+    np.testing.assert_allclose(record.values[:, 0], SWING, atol=2e-6)
+    if between == separator:
+        frame = pd.read_csv(tmp_path / "r.csv", sep=separator, decimal="," if separator == ";" else ".")
+        frame = frame.rename(columns={"Datum": "Date", "Uhrzeit": "Time"})
+        assert read_record(frame).length_s == pytest.approx(TIME[-1], abs=1e-5)
+
+
+@pytest.mark.parametrize("count", [1e6, 2.0**24, 1.0])
+def test_a_second_of_the_century_may_stand_beside_its_fraction(count: float, tmp_path: Path) -> None:
+    """FRACSEC of C37.118 counts parts of a second: 1e6, or all of its 24 bits."""
+    whole, part = np.divmod(TIME + 0.4, 1.0)
+    parts = np.round(count * part) if count > 1.0 else np.round(part, 6)
+    rows = [f"{1745836390 + a:.0f},{b:.6f},{v:.6f}" for a, b, v in zip(whole, parts, SWING, strict=True)]
+    (tmp_path / "r.csv").write_text("\n".join(["SOC,FRACSEC,F [Hz]", *rows]))
+    record = read_record(tmp_path / "r.csv")
+    assert len(record.time_s) == len(TIME)
+    assert record.length_s == pytest.approx(TIME[-1], abs=1e-5)
+    np.testing.assert_allclose(record.values[:, 0], SWING, atol=2e-6)
+
+
+def test_a_title_with_a_date_names_no_columns(tmp_path: Path) -> None:
+    path = table_csv(tmp_path / "r.csv", "Time,F [Hz]", TIME, SWING, separator=",", decimal=".")
+    path.write_text("Date: 28.04.2025, Recorder 7\n" + path.read_text(encoding="utf-8-sig"))
+    np.testing.assert_allclose(read_record(path).values[:, 0], SWING, atol=1e-6)
+
+
 def test_a_word_of_a_name_can_be_the_unit(tmp_path: Path) -> None:
     degrees = np.rad2deg(0.2 * np.sin(TIME))
     columns = (TIME, degrees, 1e3 * (SWING - 60.0), degrees)
