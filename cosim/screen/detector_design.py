@@ -29,6 +29,7 @@ from interarea.design.controllers.detector_record import (
 )
 from interarea.fmu_build.write.cache import default_cache
 from interarea.models.case.case import Case, load_case
+from interarea.models.case.checks import connected_parts, islands_of
 from interarea.models.case.schema import Machine
 from interarea.models.case.variants import operating_variant
 from interarea.models.detector_defaults import INTERVAL_S
@@ -41,6 +42,7 @@ from .detector_size import LEAST_ALONE, MARGIN, patterns_of
 Array = npt.NDArray[np.float64]
 MOST_BUSES = 12  #: that faults are tried at, besides those near the machines whose speeds are compared
 MOST_MACHINES = 16  #: that are pulsed, unless more of them are compared
+MOST_TRIPS = 12  #: of branches, besides those of the tie
 _SEEN, _BETWEEN = (0.95, 1.05), (0.975, 1.025)  # factors on every load
 _LENGTHS, _LENGTH_BETWEEN = (4, 8), (6,)  # cycles
 _START_S, _STOP_S = 2.0, 10.0
@@ -127,7 +129,7 @@ def _near(case: Case, signals: Sequence[str]) -> set[int]:
 def _events(
     case: Case, machines: Sequence[Machine], lengths: Sequence[int], near: Collection[int]
 ) -> Iterator[dict[str, Any]]:
-    """Yield faults at some buses, also at those `near`, and a pulse on each set-point of a machine.
+    """Yield faults at some buses, also at those `near`, pulses on each set-point of a machine, and trips.
 
     lengths : cycles.
     """
@@ -143,6 +145,21 @@ def _events(
             if machine.exciter.kind != "constant":  # else it has no voltage set-point
                 yield {"kind": "vref_pulse", "machine": machine.name, **pulse}
             yield {"kind": "pm_pulse", "machine": machine.name, **pulse}
+    for branch in _trips(case):
+        yield {"kind": "branch_trip", "branch": branch, "start_s": _START_S}
+
+
+def _trips(case: Case) -> list[str]:
+    """Return the branches of the tie and every so many others, of those whose loss cuts off no bus."""
+    links = {b.name: (b.from_bus, b.to_bus) for b in case.branches if b.in_service}
+    buses, parts = [bus.number for bus in case.buses], len(islands_of(case))
+    spare = [
+        name
+        for name in links
+        if len(connected_parts(buses, (ends for other, ends in links.items() if other != name))) == parts
+    ]
+    of_tie = [] if case.tie is None else [name for name in case.tie.branches if name in spare]
+    return list(dict.fromkeys([*of_tie, *spare[:: max(1, -(-len(spare) // MOST_TRIPS))]]))
 
 
 def _curves(

@@ -44,14 +44,16 @@ _WRONGS: tuple[Callable[[Array, int], Array], ...] = (
 def patterns_of(seen: Sequence[Array], judged: Sequence[Array], floor: float, event: int) -> Patterns:
     """Return the patterns of the runs `seen`, with the best number of directions; `judged` set the threshold.
 
-    seen, judged : (signals, stamps) of each run with correct signals. floor : see `basis_of`. event : stamp
+    seen, judged : (signals, stamps) of each run with correct signals, which are sampled from each stamp of
+    a sample on, since a disturbance may begin at any of them. floor : see `basis_of`. event : stamp
     of the disturbance. `alone` has no limit yet.
     """
     signals = len(seen[0])
     best: tuple[int, Patterns] | None = None
+    basis = basis_of(list(_phases(seen)), floor, signals * max(PER_SIGNAL))
     for size in (signals * share for share in PER_SIGNAL):
-        patterns = Patterns(basis_of(seen, floor, size), FRAMES, 1.0, 1.0, floor, 1e9)
-        right = [scores_and_suspects(c, patterns) for c in judged]
+        patterns = Patterns(basis[:, :, :size], FRAMES, 1.0, 1.0, floor, 1e9)
+        right = [scores_and_suspects(c, patterns) for c in _phases(judged)]
         threshold = MARGIN * max(float(score.max()) for score, _ in right)
         lasts = MARGIN * max(LEAST, *(float(lasting(*one).max()) for one in right))
         patterns = replace(patterns, threshold=threshold, lasting=lasts)
@@ -60,6 +62,11 @@ def patterns_of(seen: Sequence[Array], judged: Sequence[Array], floor: float, ev
             best = worth, patterns
     assert best is not None
     return best[1]
+
+
+def _phases(runs: Sequence[Array]) -> Iterator[Array]:
+    """Yield each run from each stamp of a sample on."""
+    return (curves[:, first:] for curves in runs for first in range(FRAMES))
 
 
 def rightly_named(judged: Sequence[Array], patterns: Patterns, event: int) -> int:

@@ -111,13 +111,15 @@ def windows(curves: Array, frames: int, samples: int) -> Array:
 def basis_of(curves: Sequence[Array], floor: float, size: int) -> Array:
     """Return the `size` directions that windows of curves have in common, each window of length 1.
 
-    floor : windows shorter than ten of it are left out.
+    As many windows again are constant and equal in all signals: so the grid is long after a disturbance, at
+    an offset that the curves need not reach. floor : windows shorter than ten of it are left out.
     """
     sampled = np.concatenate([windows(c, FRAMES, SAMPLES) for c in curves])
     length = np.sqrt((sampled**2).sum(axis=(1, 2)))
     rows = (sampled / np.maximum(length, 1e-300)[:, None, None])[length > 10.0 * floor]
     flat = rows.reshape(len(rows), -1)
-    _, vectors = np.linalg.eigh(flat.T @ flat)
+    settled = np.full(flat.shape[1], np.sqrt(len(flat) / flat.shape[1]))
+    _, vectors = np.linalg.eigh(flat.T @ flat + np.outer(settled, settled))
     return np.asarray(vectors[:, ::-1][:, :size]).reshape(*sampled.shape[1:], size)
 
 

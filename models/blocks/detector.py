@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -49,7 +50,7 @@ class Patterns:
         """Return the patterns of the same signals in another order."""
         return replace(self, basis=self.basis[list(order)])
 
-    @property
+    @cached_property
     def data(self) -> dict[str, npt.NDArray[Any]]:
         """Arrays of the record."""
         n, samples, size = self.basis.shape

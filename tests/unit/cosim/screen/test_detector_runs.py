@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from interarea.cosim.designs.fault_runs import TOGETHER, Outcome
 from interarea.cosim.scenario.names import wrong_targets
@@ -15,9 +17,11 @@ from interarea.cosim.screen import detector_design
 from interarea.cosim.screen.detector_design import (
     MOST_BUSES,
     MOST_MACHINES,
+    MOST_TRIPS,
     _events,
     _machines,
     _near,
+    _trips,
     design_detector,
 )
 from interarea.models.case.case import load_case
@@ -46,9 +50,34 @@ def test_faults_are_also_at_the_machines_whose_speeds_are_compared() -> None:
     """Bus 2630 of G2630 has one branch, to bus 2610; none of them is among every 21st bus."""
     case = load_case("wecc-240")
     assert _near(case, ["G2630_dw"]) == {2630, 2610}
-    faults = [[e["bus"] for e in _events(case, [], (4,), near)] for near in ((), (2630, 2610))]
+    faults = [
+        [e["bus"] for e in _events(case, [], (4,), near) if e["kind"] == "bus_fault"]
+        for near in ((), (2630, 2610))
+    ]
     assert {*faults[1]} - {*faults[0]} == {2630, 2610}
     assert len(faults[1]) == len(faults[0]) + 2
+
+
+@pytest.mark.parametrize("name", ["two-area-thesis", "new-england", "nets-nyps", "wecc-240"])
+def test_branches_that_trip_cut_off_no_bus(name: str) -> None:
+    case = load_case(name)
+    at = {bus.number: k for k, bus in enumerate(case.buses)}
+
+    def parts(without: str | None) -> int:
+        links = [(at[b.from_bus], at[b.to_bus]) for b in case.branches if b.in_service and b.name != without]
+        rows, columns = np.array(links).T
+        matrix = coo_array((np.ones(len(links)), (rows, columns)), shape=(len(at), len(at)))
+        return int(connected_components(matrix, directed=False)[0])
+
+    trips = _trips(case)
+    of_tie = () if case.tie is None else case.tie.branches
+    assert {*of_tie} <= {*trips}
+    assert len(of_tie) < len(trips) == len({*trips}) <= MOST_TRIPS + len(of_tie)
+    assert {parts(branch) for branch in trips} == {parts(None)}
+    assert {e["branch"] for e in _events(case, [], (4, 8), ()) if e["kind"] == "branch_trip"} == {*trips}
+    # a machine behind one transformer is cut off with it
+    behind = [b.name for b in case.branches if parts(b.name) > parts(None)]
+    assert behind and not {*behind} & {*trips}
 
 
 def test_machines_that_are_pulsed_are_spread_over_a_large_grid() -> None:
@@ -92,6 +121,6 @@ def test_the_share_that_is_reported_is_that_of_the_runs_that_have_ended(
     reported: list[float] = []
     signals = [f"G{i}_dw" for i in range(1, 5)]
     design = design_detector("two-area-thesis", "robust", signals, progress=reported.append)
-    assert sum(ran) == design.made_of + design.judged_by == 114
+    assert sum(ran) == design.made_of + design.judged_by == 130
     assert max(ran) <= TOGETHER
     assert reported == pytest.approx(np.cumsum(ran) / sum(ran))
