@@ -57,7 +57,7 @@ class DetectorTable(Table):
     #: time without a failed test before a signal is trusted again; twice as long each further time
     return_s: Annotated[float, Field(ge=0.0, examples=[5.0])] = RETURN_S
     #: span of a swing that takes all signals out when it stands, whatever its cause; ambient noise with 4 mHz
-    #: rms between areas does so once in 50 days (docs/wrong_signals.md)
+    #: rms between areas reaches .71 of it in 24 hours (docs/wrong_signals.md)
     standing_pu: Annotated[float, Field(gt=0.0, examples=[0.0003])] = STANDING_PU
     standing_s: Positive = STANDING_S  #: duration of such a swing before they are withheld
     wait_s: Annotated[float, Field(ge=0.0)] = WAIT_S  #: signals later than this are not waited for
