@@ -32,11 +32,11 @@ FORCED, MODAL, UNDECIDED = "forced", "modal", "undecided"
 LEAST_DAMPING = 0.005  #: a mode with less cannot be told from a line in a record of usual length
 #: share of a line in its narrow band -> twice the logarithm of the ratio of likelihoods from which it is
 #: undecided, and forced. Of modes with `LEAST_DAMPING`, in 60 s, at .15 to 1.5 Hz, with white noise 5 to 40
-#: dB below, half exceed the first, a tenth the second and 1.4 % the 10
-#: (`benchmarks/records/forced_or_modal.py --least-damped 2000`), which are very strong evidence by Kass and
+#: dB below, half exceed the first, a tenth the second and .3 % the 12
+#: (`benchmarks/records/forced_or_modal.py --least-damped 4000`), which are very strong evidence by Kass and
 #: Raftery (1995). Of a wide spectrum the largest of many independent values stands out by chance: of 290
 #: records of 10 minutes of modes with 3.2 and 8.1 % one reaches the 12, with 14.2
-_LIMITS = ((0.85, 3.3, 10.0), (0.5, 6.3, 10.0), (0.0, 12.0, 18.0))
+_LIMITS = ((0.85, 3.3, 12.0), (0.5, 6.3, 12.0), (0.0, 12.0, 18.0))
 _STANDS_OUT = 6.0  # of a peak over the median of its surroundings, in amplitude
 _AROUND_HZ = 0.3
 _MOST_CANDIDATES, _MOST_HARMONIC = 4, 5
@@ -113,18 +113,21 @@ def sines(points: int, step_s: float, frequencies_hz: list[float]) -> Array:
 
 
 def _spectrum(values: Array, step_s: float) -> tuple[Array, Array]:
-    """Return frequencies and the amplitude there of all signals together, with a Hann window."""
+    """Return frequencies and the amplitude there of each signal, with a Hann window."""
     window = np.hanning(len(values))[:, None]
     many = 4 * len(values)
     size = 2.0 * np.abs(np.fft.rfft(values * window, many, axis=0)) / window.sum()
     f = np.asarray(np.fft.rfftfreq(many, step_s), dtype=np.float64)
-    return f, np.asarray(np.sqrt(np.sum(size**2, axis=1)), dtype=np.float64)
+    return f, np.asarray(size, dtype=np.float64)
 
 
 def _peaks(swings: Swings) -> list[float]:
-    f, size = _spectrum(swings.combined, swings.step_s)
+    """Return the frequencies of the clear peaks, the largest first: those of each combination, because a
+    peak of another may hide one that is near."""
+    f, sizes = _spectrum(swings.combined, swings.step_s)
+    size = np.sqrt(np.sum(sizes**2, axis=1))
     inside = np.flatnonzero((f >= swings.band_hz[0]) & (f <= swings.band_hz[1]))
-    top = [k for k in inside if size[k] == size[max(0, k - 8) : k + 9].max()]
+    top = {int(k) for one in (size, *sizes.T) for k in inside if one[k] == one[max(0, k - 8) : k + 9].max()}
     loud: list[float] = []
     for k in sorted(top, key=lambda k: -size[k]):
         around = size[(np.abs(f - f[k]) < _AROUND_HZ) & (np.abs(f - f[k]) > 3.0 / swings.length_s)]
@@ -223,7 +226,8 @@ def _stands(swings: Swings, frequency_hz: float) -> bool:
 
 def _width(swings: Swings, frequency_hz: float) -> float:
     """Return between where the peak of the spectrum at a frequency falls to half of its power, Hz."""
-    f, size = _spectrum(swings.combined, swings.step_s)
+    f, sizes = _spectrum(swings.combined, swings.step_s)
+    size = np.sqrt(np.sum(sizes**2, axis=1))
     k = int(np.argmin(np.abs(f - frequency_hz)))
     low = high = k
     while low > 0 and size[low] ** 2 > 0.5 * size[k] ** 2:
