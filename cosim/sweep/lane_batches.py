@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import takewhile
@@ -14,6 +14,7 @@ from interarea.fmu_build.write.lane_library import GroupLibrary, plant_group
 from interarea.models.blocks.plant import plant_sources
 from interarea.models.case.case import Case
 from interarea.models.case.events import slot_count
+from interarea.models.grid.network_tables import has_many_ports
 
 from ..run.artefacts import EVENT_SLOTS
 from .live_instances import Kept
@@ -34,11 +35,21 @@ class Lanes:
 
 
 def lanes_here(cache: Path, case: Case | None = None) -> Lanes:
-    """Return what this processor can do; `case`: of the plants, as `plant_sources`."""
+    """Return what this processor can do; `case`: of the plants, as `plant_sources`.
+
+    Plants with many ports go one by one: nothing is compiled for them.
+    """
+    if case is not None and has_many_ports(case):
+        return Lanes(None, 1)
     with suppress(BuildError):
         library = plant_group(plant=plant_sources(case), cache=cache)
         return Lanes(library, library.lanes)
     return Lanes(None, 1)
+
+
+def lanes_for(cache: Path, cases: Iterable[Case]) -> Lanes:
+    """Return what this processor can do for plants of `cases` without devices of their own."""
+    return Lanes(None, 1) if all(map(has_many_ports, cases)) else lanes_here(cache)
 
 
 def has_lanes(kept: Kept) -> bool:

@@ -81,6 +81,12 @@ class LiveFmus(Fmus):
         self._cases: dict[str, Case] = {}
         self._planned: dict[tuple[str, str], Controller | ControllerBank | None] = {}
 
+    def base(self, name: str) -> Case:
+        """Return an unchanged case of the plan, the same object each time."""
+        if name not in self._cases:
+            self._cases[name] = self.plan.case(name)
+        return self._cases[name]
+
     def case(self, change: CaseChange, slots: int) -> Case:
         """Return a changed case whose plant is there until some others have been asked for."""
         key = (change, slots)
@@ -93,7 +99,7 @@ class LiveFmus(Fmus):
         return result.case
 
     def _made(self, change: CaseChange, slots: int) -> Plant:
-        base = self._cases.setdefault(change.case, self.plan.case(change.case))
+        base = self.base(change.case)
         case = change.apply(base)
         show, more = self.plan.sweep.show, (*self.plan.sweep.base.shows, *Judge.reads(case))
         if case is base and slots == EVENT_SLOTS:

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from contextlib import suppress
 from pathlib import Path
 
 from interarea.fmu_build.errors import BuildError
 from interarea.fmu_build.write.compile import compile_binary, host_platform
-from interarea.fmu_build.write.lane_library import plant_group
 from interarea.models.blocks.plant import plant_sources
+from interarea.models.case.case import Case
 
 from ..master.kernel.build import load_kernel
 from ..run.artefacts import channel_fmu, concentrator_fmu, detector_fmu, plant_fmu, pmu_fmu
 from ..run.controllers import controller_fmu
 from ..run.detector import patterns_of
+from .lane_batches import lanes_here
 from .plan import SweepPlan, case_in, own_fmu
 
 
@@ -34,10 +36,7 @@ def prepare(plan: SweepPlan, cache: Path) -> list[Path]:
     if any(path.pmu for path in plan.sweep.base.signals):
         files.append(pmu_fmu(cache))
     cases = {name: plan.case(name) for name in plan.cases}
-    for grid in {plant_sources(case): case for case in cases.values()}.values():
-        with suppress(BuildError):  # without it the plants go one by one
-            files.append(plant_group(plant_sources(grid), cache=cache).path)
-        files.append(compile_binary("plant", plant_sources(grid), host_platform(), cache=cache))
+    files += _plant_binaries(cases.values(), cache)
     show, more = plan.sweep.show, plan.sweep.base.shows
     files += [plant_fmu(case, cache, show=show, more=more) for case in cases.values()]
     for key in plan.controllers:
@@ -46,3 +45,11 @@ def prepare(plan: SweepPlan, cache: Path) -> list[Path]:
         if controller is not None:
             files.append(controller_fmu(controller, cases[name].omega_b, cache, trust=detected))
     return files
+
+
+def _plant_binaries(cases: Collection[Case], cache: Path) -> list[Path]:
+    """Return the libraries that step plants of `cases` side by side, and their FMUs' binaries."""
+    libraries = (lanes_here(cache, case).library for case in cases)
+    beside = [library.path for library in libraries if library is not None]
+    sources = dict.fromkeys(plant_sources(case) for case in cases)
+    return beside + [compile_binary("plant", files, host_platform(), cache=cache) for files in sources]

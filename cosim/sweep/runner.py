@@ -24,7 +24,7 @@ from ..run.artefacts import EVENT_SLOTS
 from ..run.run import system_of
 from ..run.system import System
 from ..trajectory import Trajectory
-from .lane_batches import PlantKey, by_plant, common_s, has_lanes, how_many, lanes_here, plant_key
+from .lane_batches import PlantKey, by_plant, common_s, has_lanes, how_many, lanes_for, lanes_here, plant_key
 from .live_instances import KEPT, Kept, LiveFmus, TimeUpError, controller_start, watch_of
 from .plan import SweepPlan
 from .point import CaseChange, Point, packed, point_of
@@ -54,7 +54,7 @@ class Runner:
         self._kept: OrderedDict[Any, Kept] = OrderedDict()
         self._packed = packed(plan.sweep)
         self._late = late_parameters(plan.sweep)
-        beside = lanes_here(cache)
+        beside = lanes_for(cache, map(self._fmus.base, plan.cases))
         self.library = beside.library  #: that steps plants side by side
         self.lanes = beside.count  #: runs that advance side by side at most
         self._unbatched: set[PlantKey | None] = set()  # plants that gain nothing by company

@@ -10,13 +10,16 @@ import numpy.typing as npt
 
 from ..case.case import Case
 from ..case.schema import Machine
-from .bus_devices import DEVICE, LOAD, MACHINE
+from .bus_devices import DEVICE, LOAD, MACHINE, port_loads
+from .coupling import device_port_buses
 from .network import branch_stamps, bus_index, load_power, machine_bus_index, shunt_admittance
 from .sparse_pattern import SPARSE_PRICE, IntArray, SparsePattern, sparse_pattern
 
 #: a product over the machines; factors for every evaluation; factors for voltages and a product for rates
 Form = Literal["dense", "sparse", "reduced"]
 SMALLEST_PU = 1e-4  #: least reactance beside an air gap that is a node of its own
+
+FEW_PRICE = 8  #: of p ports by themselves p^2 in entries of the factors, as in plant/numbers/layout.h
 
 
 @dataclass(frozen=True)
@@ -66,6 +69,21 @@ def network_pattern(
         return None
     pattern = sparse_pattern(nodes.count, nodes.ends, active)
     return pattern if form or dense > price * pattern.multiplications else None
+
+
+def has_many_ports(case: Case, form: Form | None = None) -> bool:
+    """Whether loads and devices of `case` are ports on a sparse network, too many to be solved by themselves.
+
+    Such plants do not go side by side (`Plan.few` of the C plant). Ports of machines would only be more.
+    form : prescribed form of the network, whatever its cost.
+    """
+    index = bus_index(case)
+    ports = [[LOAD, k, 0, 0] for k in port_loads(case)]
+    ports += [[DEVICE, 0, 0, index[bus]] for bus in device_port_buses(case)]
+    if not ports:
+        return False
+    pattern = network_pattern(case, np.array(ports, dtype=float), form)
+    return pattern is not None and FEW_PRICE * len(ports) ** 2 > pattern.fill
 
 
 def is_reduced(pattern: SparsePattern, machines: int, ports: int, form: Form | None = None) -> bool:

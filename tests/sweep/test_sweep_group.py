@@ -7,9 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from plant_lanes import PlantLanes
 
+from interarea.cosim.sweep import lane_batches
 from interarea.cosim.sweep import runner as runner_module
-from interarea.cosim.sweep.lane_batches import by_plant, common_s, how_many, lanes_here
+from interarea.cosim.sweep.lane_batches import Lanes, by_plant, common_s, how_many, lanes_for, lanes_here
 from interarea.cosim.sweep.live_instances import TimeUpError
 from interarea.cosim.sweep.plan import plan_sweep
 from interarea.cosim.sweep.point import point_of
@@ -17,6 +19,8 @@ from interarea.cosim.sweep.runner import Runner
 from interarea.cosim.sweep.shared_start import Job
 from interarea.cosim.sweep.spec import load_sweep
 from interarea.fmu_build.write.lane_library import GroupLibrary
+from interarea.models.case.case import load_case
+from interarea.models.grid.network_tables import has_many_ports
 
 FAULT = {"kind": "bus_fault", "bus": 8, "start_s": 0.2, "end_s": 0.25, "x_pu": 0.01}
 PULSE = {"kind": "vref_pulse", "machine": "G1", "size_pu": 0.05, "start_s": 1.5, "end_s": 1.7}
@@ -113,7 +117,6 @@ def test_company_that_computes_too_long_is_made_alone(
 def test_without_the_library_runs_go_one_by_one(
     sweep: Any, cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from interarea.cosim.sweep import lane_batches as sweep_group
     from interarea.fmu_build.errors import BuildError
 
     wanted = rows_of(sweep("latency and loss"), cache, tmp_path, lanes=8)
@@ -121,9 +124,35 @@ def test_without_the_library_runs_go_one_by_one(
     def missing(**_: Any) -> GroupLibrary:
         raise BuildError("no compiler")
 
-    monkeypatch.setattr(sweep_group, "plant_group", missing)
+    monkeypatch.setattr(lane_batches, "plant_group", missing)
     assert lanes_here(cache).count == 1
     assert repr(rows_of(sweep("latency and loss"), cache, tmp_path, lanes=8)) == repr(wanted)
+
+
+@pytest.mark.parametrize(("ports", "many"), [(2, False), (35, True)])
+def test_plants_with_many_ports_are_known_before_they_are_compiled(
+    ports: int, many: bool, cache: Path, tmp_path: Path
+) -> None:
+    """The C says the same: it has no memory for a group of such plants."""
+    case = load_case("nets-nyps")
+    impedance = {"P_zip": None, "Q_zip": None, "P_exponent": 2.0, "Q_exponent": 2.0}
+    loads = [q if k < ports else q.model_copy(update=impedance) for k, q in enumerate(case.loads)]
+    case = case.model_copy(update={"loads": tuple(loads)})
+    assert has_many_ports(case, "sparse") is many
+    plants = PlantLanes(case, cache, network="sparse")
+    started = plants._started({})
+    assert (plants.group.work(started.fmu.component, 2) is None) is many
+    started.fmu.free()
+    assert (plants.group.lanes > 1) is (lanes_here(cache, case).count > 1)  # this grid's network is dense
+
+
+def test_no_library_is_compiled_for_plants_that_go_one_by_one(
+    cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    case = load_case("two-area-thesis")
+    monkeypatch.setattr(lane_batches, "has_many_ports", lambda _: True)
+    monkeypatch.setattr(lane_batches, "plant_group", None)  # not called
+    assert lanes_here(cache, case) == lanes_for(cache, [case]) == Lanes(None, 1)
 
 
 def jobs_of(sweep: Any, name: str, likes: list[float]) -> list[Job]:
