@@ -102,13 +102,11 @@ def record_of(path, names):
 
 def of_name(name):
     """Return number of the machine, factor on the loads and frequency, Hz."""
-    number = int(re.match(r"V?(\d+)", name)[1])
+    number, f = re.match(r"V?(\d+)", name), re.search(r"(?:Pf|f)_([\d.]+?)(?:_|\.mat)", name)
+    if number is None or f is None:
+        raise SystemExit(f"{name}: is no record of DTL-Location, wanted: such as V17_amp_0.1_f_0.6.mat")
     scale = re.search(r"PQ_([\d.]+)Pf", name)
-    return (
-        number,
-        float(scale[1]) if scale else 1.0,
-        float(re.search(r"(?:Pf|f)_([\d.]+?)(?:_|\.mat)", name)[1]),
-    )
+    return int(number[1]), float(scale[1]) if scale else 1.0, float(f[1])
 
 
 def table(text, name):
