@@ -27,6 +27,7 @@ FRAMES, SAMPLES = 4, 12  #: stamps a sample, samples a window
 LASTS = SAMPLES + 3
 _SCHEMA = 3
 _SPAN = round(AVERAGE_S / INTERVAL_S)  # stamps that a span is taken over
+_HELD, _OF_TREND = 256, 4  # stamps that the trend is taken of; DETECTOR_STAMPS, DETECTOR_TREND in C
 _ALONE, _STEADY = _SPAN * 3 // 2, 0.6  # stamps that a signal swings alone for; STEADY of stamps.c
 
 
@@ -147,17 +148,31 @@ def lasting(score: Array, suspect: npt.NDArray[np.int64]) -> Array:
 
 
 def shares(curves: Array, floor: float) -> Array:
-    """Return by how many times each signal spans more than the others, of curves (signals, stamps).
+    """Return by how many times each signal swings more than the others, of curves (signals, stamps).
 
-    The least over half as many stamps again as a span is taken over: for so long it lasts before it counts. 0
-    where its span does not stay in that time.
+    The least over half as many stamps again as a swing is taken over: for so long it lasts before it counts.
+    0 where its swing does not stay in that time.
     """
-    parts = np.lib.stride_tricks.sliding_window_view(curves, _SPAN, axis=1)
-    spans = np.ptp(parts, axis=2)
-    others = np.array([np.delete(spans, i, axis=0).max(axis=0) for i in range(len(spans))])
-    share = spans / (3.0 * floor + others)
-    lasts, span = (np.lib.stride_tricks.sliding_window_view(v, _ALONE, axis=1) for v in (share, spans))
-    return np.where(span.min(axis=2) > _STEADY * span.max(axis=2), lasts.min(axis=2), 0.0)
+    swing = swings(curves)
+    others = np.array([np.delete(swing, i, axis=0).max(axis=0) for i in range(len(swing))])
+    share = swing / (3.0 * floor + others)
+    lasts, own = (np.lib.stride_tricks.sliding_window_view(v, _ALONE, axis=1) for v in (share, swing))
+    return np.where(own.min(axis=2) > _STEADY * own.max(axis=2), lasts.min(axis=2), 0.0)
+
+
+def swings(curves: Array) -> Array:
+    """Return the span of each signal less its trend, of curves (signals, stamps), from the first span on.
+
+    The trend is the line through every fourth of the last 256 stamps; none before three quarters of them.
+    """
+    result = []
+    for end in range(_SPAN, curves.shape[1] + 1):
+        held = curves[:, max(end - _HELD, 0) : end][:, ::-_OF_TREND]
+        at = np.arange(held.shape[1]) - 0.5 * (held.shape[1] - 1)
+        known = 4 * _OF_TREND * len(at) >= 3 * _HELD
+        trend = held @ at / (-_OF_TREND * (at @ at)) if known else np.zeros(len(curves))
+        result.append(np.ptp(curves[:, end - _SPAN : end] - np.outer(trend, np.arange(_SPAN)), axis=1))
+    return np.array(result).T
 
 
 def _left(x: Array, V: Array) -> Array:

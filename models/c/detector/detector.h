@@ -21,8 +21,8 @@
  *
  *     rough   the median of |u_i(c) - 2 u_i(c - interval) + u_i(c - 2 interval)| over the last ROUGH stamps
  *             > rough[i] + 2 max(mean of the same of u_j),   j another trusted signal
- *     alone   span(u_i) > alone (3 floor + max(span(u_j))), at every stamp of the last 1.5 `average` seconds, in which
- *             its least value stays above STEADY of its largest
+ *     alone   swing(u_i) > alone (3 floor + max(swing(u_j))), at every stamp of the last 1.5 `average` seconds, in
+ *             which its least value stays above STEADY of its largest
  *
  *     replay  the last `repeats` frames up to c have the same bits as those some number of frames before (the search
  *             goes back over DETECTOR_FRAMES) and span more than `repeats` times `moving`, while those of another
@@ -30,9 +30,13 @@
  *
  * A swing that has become a cycle comes again, or nearly, in every signal: none is named.
  *
+ * A swing is the span of u less its trend, the line that least squares lay through the last STAMPS values, so that a
+ * drift of frequency is none and hides none; this line takes less of a slow swing than one through `average` seconds
+ * would.
+ *
  * A swing bends little from frame to frame and a disturbance bends few frames: noise bends all of them. What moves
  * one machine alone, and by how much, depends on the grid: `alone` comes with the patterns. What a fault near a
- * machine leaves dies out; so `alone` outlasts the spans that contain the fault, and asks for a span that stays.
+ * machine leaves dies out; so `alone` outlasts the swings that contain the fault, and asks for one that stays.
  *
  * With patterns in the record (pattern.h) a third test of all signals at the same stamps:
  *
@@ -43,9 +47,7 @@
  * A fault near a machine moves that machine alone, but only windows that contain the fault differ much from the
  * patterns: `lasting` is for what follows it, and much less than `pattern`.
  *
- * What no test can name shows in the end: a wrong signal keeps a swing alive. A swing is the span of u less its
- * trend, the line that least squares lay through the last STAMPS values, so that a drift of frequency is none; this
- * line takes less of a slow swing than one through `average` seconds would. With level the second largest of the
+ * What no test can name shows in the end: a wrong signal keeps a swing alive. With level the second largest of the
  * swings of the signals that are present and pass (of two or more; one of them may be the wrong one),
  *
  *     standing  level > standing for standing_time, its least value above STEADY of its largest; or
@@ -96,7 +98,7 @@ enum {
 enum {
     DM_ISOLATED, DM_REASON, DM_FAILED_AT, DM_FAILURES, DM_REPEATS, DM_MOVES, DM_FRAMES, DM_MEAN, DM_SPAN, DM_BEND,
     DM_PATTERN, /* windows in a row that left more than `lasting` */
-    DM_ALONE, DM_LEAST, DM_MOST, /* stamp since which a signal swings alone, and the range of its span from there */
+    DM_ALONE, DM_LEAST, DM_MOST, /* stamp since which a signal swings alone, and the range of its swing from there */
     DM_SWING, DM_AT_STOP, /* span less the trend; the same two averages after all were taken out */
     DM_FRAME, /* stamp and value of each of the last frames */
     DM_ALIGNED = DM_FRAME + 2 * DETECTOR_FRAMES,

@@ -132,11 +132,11 @@ void compare_bends(Block *b, double t)
 static void alone_from(double *m, double stamps)
 {
     m[DM_ALONE] = stamps;
-    m[DM_LEAST] = m[DM_MOST] = m[DM_SPAN];
+    m[DM_LEAST] = m[DM_MOST] = m[DM_SWING];
 }
 
-/* Compares the spans over the last `count` stamps, which they have done for half as many more. */
-static void compare_spans(Block *b, double t, size_t count)
+/* Compares the swings over the last `count` stamps, which they have done for half as many more. */
+static void compare_swings(Block *b, double t, size_t count)
 {
     const double stamps = b->memory[M_STAMPS];
     size_t others = 0;
@@ -144,12 +144,12 @@ static void compare_spans(Block *b, double t, size_t count)
     for (size_t i = 0; i < count_of(b); ++i) others += trusted(b, i) && !isnan(memory_of(b, i)[DM_MEAN]);
     for (size_t i = 0; i < count_of(b); ++i) {
         double *m = memory_of(b, i);
-        const double most = b->p[P_ALONE] * (3.0 * b->p[P_FLOOR] + most_of_others(b, i, DM_SPAN));
-        if (others < 3 || !b->iu[i] || isnan(m[DM_MEAN]) || !(m[DM_SPAN] > most)) m[DM_ALONE] = 0.0;
+        const double most = b->p[P_ALONE] * (3.0 * b->p[P_FLOOR] + most_of_others(b, i, DM_SWING));
+        if (others < 3 || !b->iu[i] || isnan(m[DM_MEAN]) || !(m[DM_SWING] > most)) m[DM_ALONE] = 0.0;
         else if (m[DM_ALONE] == 0.0) alone_from(m, stamps);
         else {
-            m[DM_LEAST] = fmin(m[DM_LEAST], m[DM_SPAN]);
-            m[DM_MOST] = fmax(m[DM_MOST], m[DM_SPAN]);
+            m[DM_LEAST] = fmin(m[DM_LEAST], m[DM_SWING]);
+            m[DM_MOST] = fmax(m[DM_MOST], m[DM_SWING]);
             if (!(m[DM_LEAST] > STEADY * m[DM_MOST])) alone_from(m, stamps);
             else if (stamps - m[DM_ALONE] + 1.0 >= 1.5 * (double)count) detector_fail(b, i, t, REASON_ALONE);
         }
@@ -252,6 +252,6 @@ void compare_means(Block *b, double t)
         }
     }
     if (most > 1.0) detector_fail(b, furthest, t, REASON_APART);
-    compare_spans(b, t, count);
+    compare_swings(b, t, count);
     watch_swing(b, t);
 }

@@ -147,28 +147,48 @@ def test_what_moves_alone_is_named_where_numpy_says(patterns: Patterns, tmp_path
     share = shares(curves, FLOOR)
     assert share.shape == (4, STAMPS - 99 - 149)
     assert first == alone_from(curves, 4.0)
-    # that it may not fall is asked since it began, not of the last 3 s: later by what the span grows
+    # that it may not fall is asked since it began, not of the last 3 s: later by what the swing grows
     assert 0 <= first - (np.nonzero((share > 4.0).any(axis=0))[0][0] + 99 + 149) < 25
     assert np.delete(share, 2, axis=0).max() < 4.0
     # a machine that swings alone after a fault near it: as far, for as long, but it dies out
     curves[2, WRONG:] += sine * (4.0 * np.exp(-0.6 * t) - 1.0)
-    spans = np.ptp(np.lib.stride_tricks.sliding_window_view(curves, 100, axis=1), axis=2)
-    assert np.all((spans[2] > 4.0 * (3.0 * FLOOR + np.delete(spans, 2, axis=0).max(axis=0)))[-200:])
+    own = np.array([swings_at(curves, k) for k in range(STAMPS - 200, STAMPS)])
+    assert np.all(own[:, 2] > 4.0 * (3.0 * FLOOR + np.delete(own, 2, axis=1).max(axis=1)))
     assert named(path, curves)[1] is None
     assert shares(curves, FLOOR).max() < 4.0
+
+
+def test_a_drift_of_all_does_not_hide_what_moves_alone(patterns: Patterns, tmp_path: Path) -> None:
+    """The drift spans 2e-3 in 2 s, as much as the sine: less their trends the others are at rest."""
+    strict = replace(patterns, threshold=1e6, alone=4.0)
+    path = build_fmu(detector_block(SIGNALS, patterns=strict), tmp_path / "drift.fmu")
+    curves = swing((0.3, 1.0), (2e-5, 0.0)) + 1e-3 * FRAME_S * np.arange(STAMPS)
+    assert named(path, curves)[1] is None
+    curves[2, WRONG:] += 1e-3 * np.sin(4.0 * FRAME_S * np.arange(STAMPS - WRONG))
+    assert np.ptp(curves[1, -100:]) > 0.5 * np.ptp(curves[2, -100:])
+    reasons, first = named(path, curves)
+    assert reasons == {s: "alone" if s == "c" else "trusted" for s in SIGNALS}
+    assert first == alone_from(curves, 4.0)
+
+
+def swings_at(curves: np.ndarray, k: int) -> np.ndarray:
+    """Spans of the last 100 stamps less the line through every fourth of 256, if 48 of these are there."""
+    at = np.arange(k, max(k - 256, -1), -4)
+    rise = np.polyfit(at, curves[:, at].T, 1)[0] if len(at) >= 48 else np.zeros(len(curves))
+    return np.ptp(curves[:, k - 99 : k + 1] - np.outer(rise, np.arange(100)), axis=1)
 
 
 def alone_from(curves: np.ndarray, limit: float) -> int:
     """The stamp at which signal 2 has swung alone for 150, by the words of detector.h."""
     since, least, most = None, 0.0, 0.0
     for k in range(99, STAMPS):
-        spans = np.ptp(curves[:, k - 99 : k + 1], axis=1)
-        if not spans[2] > limit * (3.0 * FLOOR + np.delete(spans, 2).max()):
+        own = swings_at(curves, k)
+        if not own[2] > limit * (3.0 * FLOOR + np.delete(own, 2).max()):
             since = None
             continue
-        least, most = min(least, spans[2]), max(most, spans[2])
+        least, most = min(least, own[2]), max(most, own[2])
         if since is None or not least > 0.6 * most:
-            since, least, most = k, spans[2], spans[2]
+            since, least, most = k, own[2], own[2]
         if k - since + 1 >= 150:
             return k
     raise AssertionError("never")
