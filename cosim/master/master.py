@@ -172,8 +172,9 @@ class Master:
     def advance(self, until_s: float | None = None, *, progress: Progress | None = None) -> None:
         """Step to `until_s` (default: the end); `trajectory` has the results whenever they are wanted.
 
-        progress : called with (present time, stop time) after each step in Python, and at least every 20 ms
-            of computing (or after a longer step) with the kernel. It may raise, or call `cancel`.
+        progress : called with (present time, stop time) at first, then after each step in Python, and at
+            least every 20 ms of computing (or after a longer step) with the kernel. It may raise, or call
+            `cancel`.
 
         Raises
         ------
@@ -193,6 +194,8 @@ class Master:
             )
         kernel = self._compiled()
         last = bisect_right(self.ends, until)
+        if progress is not None:
+            progress(self.time_s, stop_s)
         while self._index < last and not self._cancelled:
             if kernel is None:
                 self.step()

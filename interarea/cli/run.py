@@ -129,7 +129,7 @@ def _shown(scenario: Scenario, *, explain: bool, json_: bool) -> bool:
 
 
 def _run(scenario: Scenario, tell: Callable[[float], object]) -> Result:
-    """Run a scenario, in one FMU where it asks for that. tell : takes the share that is done.
+    """Run a scenario, in one FMU where it asks for that. tell : takes the share done, first once FMUs exist.
 
     What runs it is loaded here: a mistake in the file is reported before.
     """
@@ -137,7 +137,6 @@ def _run(scenario: Scenario, tell: Callable[[float], object]) -> Result:
     from interarea.cosim.run.run import run_system
     from interarea.fmu_build.write.cache import default_cache
 
-    tell(0.0)
     runs = run_joint if scenario.master.joint else run_system
     result: Result = runs(scenario, cache=default_cache(), progress=_shares(tell))
     tell(1.0)
@@ -163,7 +162,6 @@ def _written(
         result = _run(scenario, tell)
         assert isinstance(result, Run)  # it has a case
         return result, result.save(out, explorer=link)
-    tell(0.0)
     written = write_run(scenario, out, cache=default_cache(), progress=_shares(tell), explorer=link)
     tell(1.0)
     return written
