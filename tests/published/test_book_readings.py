@@ -32,6 +32,7 @@ def modes(case: Case, cache: Path) -> Modes:
     return modes_of(linear(case, cache), case.areas)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "change", "recorded", "reaches"),
     [(name, change, recorded, reaches) for name, _, change, recorded, reaches in READINGS],

@@ -55,6 +55,7 @@ def test_the_link_rests_where_that_of_pstess_does(name):
     assert at["hvdc1.vm"] * 500.0 == pytest.approx(rest["Vdc"], abs=5e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("network", ["dense", "sparse"])
 @pytest.mark.parametrize("name", BOTH)
 def test_the_plant_has_the_eigenvalues_and_the_response_of_the_independent_program(name, network):

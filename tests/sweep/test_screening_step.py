@@ -46,6 +46,7 @@ def test_a_step_that_changes_results_is_not_exact_enough(change: dict[str, objec
     assert changes_of(rows(), rows(**change)) is None
 
 
+@pytest.mark.slow
 def test_an_unstable_step_is_not_chosen(tmp_path: Path, cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A mode at 1001 1/s: 10 and 5 ms are beyond the stability of RK4, 2.5 ms is not."""
     monkeypatch.setattr(module, "FROM", 1)

@@ -201,6 +201,7 @@ def test_what_a_sweep_can_do_again_is_said(interarea, tmp_path: Path) -> None:  
     assert code == 2 and "--retry = all, allowed: failed" in said
 
 
+@pytest.mark.slow
 def test_screen_writes_its_page_and_says_how_many_slip(interarea, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     out = tmp_path / "screen"
     words = ("--bus", "8", "--clearing", "700 ms", "--stop", "3", "--workers", "1", "--out", str(out))

@@ -78,6 +78,7 @@ def test_loads_reach_every_load_and_replace_its_mix() -> None:
     assert str(settings[0]) == "base, loads P ~ V^1, Q ~ V^2, fault at bus 8, 100 ms"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ports", [(["G4_dw"], ["G4_vs"]), (["G4_dw", "tcsc1_i"], ["G4_vs", "tcsc1_x_mod"])])
 def test_a_line_that_is_tripped_takes_its_series_capacitor_along(
     ports: tuple[list[str], list[str]], cache: Path

@@ -116,6 +116,7 @@ def test_a_line_is_forced_and_gets_no_damping_ratio(f: float, length_s: float) -
     assert "damping_ratio" not in json.dumps(result.as_dict()["swings"][0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("f", [0.28, 0.72, 1.1])
 @pytest.mark.parametrize("phase", [0.0, 1.0, 2.0])
 def test_a_line_does_not_ring_down(f: float, phase: float) -> None:
@@ -136,6 +137,7 @@ def test_a_slow_line_is_not_bent_at_the_ends_of_a_record(seed: int) -> None:
     assert result.swings[0].frequency_hz == pytest.approx(0.2, abs=0.001)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [66, 234])
 def test_a_slow_line_three_times_the_ambient_motion_is_forced_after_a_minute(number: int) -> None:
     """Lines at 0.23 and 0.24 Hz of the benchmark: 18 points of an envelope, of which their mean is fitted."""

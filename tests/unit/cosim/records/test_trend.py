@@ -72,6 +72,7 @@ def test_parts_are_those_of_the_whole(
         np.testing.assert_array_equal(piece.record.values, same.values)
 
 
+@pytest.mark.slow
 def test_swings_are_followed_and_a_sine_is_named_with_its_times(tmp_path: Path) -> None:
     path = as_csv(day(6, sine_in=(3, 4)), tmp_path)
     result = ia.damping_trend(path, every_s=EVERY_S)

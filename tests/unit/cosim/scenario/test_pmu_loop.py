@@ -126,6 +126,7 @@ def test_what_holds_no_pmu_says_so(hand_controller: Controller, cache: Path, tmp
         subject_of(loaded, cache=cache)
 
 
+@pytest.mark.slow
 def test_a_sweep_runs_with_pmus(hand_controller: Controller, cache: Path, tmp_path: Path) -> None:
     """Each point is its run alone: the plant of the sweep shows what the PMU measures."""
     hand_controller.save(tmp_path / "hand.json")

@@ -99,6 +99,7 @@ class Ring(dict[str, np.ndarray]):
         self.units = dict.fromkeys(self, "pu")
 
 
+@pytest.mark.slow
 def test_the_share_that_is_reported_is_that_of_the_runs_that_have_ended(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -153,6 +153,7 @@ def closed_loop(system: control.StateSpace, name: str, gain: float, lost: tuple[
     return closed, K
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lost", [(), ("G2_dw",)])
 @pytest.mark.parametrize("name", ["robust", "robust_latency", "robust_linear"])
 def test_names_in_a_closed_loop_are_those_followed_from_the_open_one(

@@ -104,6 +104,7 @@ def test_a_key_follows_every_form_of_import(tmp_path: Path, monkeypatch: pytest.
         fresh("interarea.design.moved_away")
 
 
+@pytest.mark.slow
 def test_a_key_follows_what_the_language_itself_takes_for_imports() -> None:
     """The lines that are read as imports, against Python's own tree of every module of the package."""
     for room in ("models", "fmu_build", "design", "cosim"):

@@ -32,6 +32,7 @@ BY_HAND = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("text", BY_HAND)
 def test_a_point_by_name_has_the_matrices_of_the_case_edited_by_hand(
     text: str, cache: Path, tmp_path: Path

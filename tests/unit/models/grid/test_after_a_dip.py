@@ -63,6 +63,7 @@ def test_it_rests_and_the_derivatives_are_those_of_differences(name, network, ba
     assert off < 1e-7 and outputs_off < 1e-6
 
 
+@pytest.mark.slow
 def test_at_rest_it_stands_for_20_s():
     plant = BlockShim(plant_block(with_converter(**HOLDS["both"][0])))
     own = [k for k, name in enumerate(plant.state_names) if name.startswith("pv1.")]

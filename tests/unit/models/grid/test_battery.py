@@ -52,6 +52,7 @@ def test_it_rests_and_the_derivatives_are_those_of_differences(network, base, P_
     assert off < 1e-7 and outputs_off < 1e-6
 
 
+@pytest.mark.slow
 def test_at_rest_it_stands_for_20_s_and_a_plant_without_store_has_no_such_state():
     _, _, states, p = run(with_battery(), 20.0, 0.0)
     assert max(np.max(np.abs(course - course[0])) for course in (*states.values(), p)) < 1e-12

@@ -53,6 +53,7 @@ def alone(**parameters):
     return case_of(document, where="droop")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("step", "more"),
     [

@@ -148,6 +148,7 @@ def test_once_the_branch_is_out_its_flow_is_zero():
     assert abs(own["rp"][0]) > 0.2
 
 
+@pytest.mark.slow
 def test_at_rest_it_stands_for_20_s():
     plant = BlockShim(plant_block(with_plant("drop")))
     own = [k for k, name in enumerate(plant.state_names) if name.startswith("pv1.")]

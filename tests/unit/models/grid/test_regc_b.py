@@ -53,6 +53,7 @@ def test_its_power_is_that_of_a_voltage_behind_its_impedance():
     assert np.ptp(u) > 0.1
 
 
+@pytest.mark.slow
 def test_at_rest_it_stands_for_20_s():
     _, own, _ = course(with_converter(), 20.0, 0.002)
     assert max(np.max(np.abs(path - path[0])) for path in own.values()) < 1e-12

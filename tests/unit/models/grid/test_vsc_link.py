@@ -222,6 +222,7 @@ def between(P, keeps, first):
     return case, Link(tuple(sides), P, (0.1, 0.15), R, 0.06, (0.005, 0.007), gains)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("P", "keeps", "first", "end"),
     [(0.9, "q", "p", 1), (0.9, "v", "q", 1), (0.9, "v", "p", 0), (-0.9, "v", "q", 1), (-0.9, "v", "q", 0)],

@@ -90,6 +90,7 @@ def test_the_derivatives_off_rest_are_those_of_differences(network, row):
     assert max(errors) < 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("P", [0.9, -0.6])
 @pytest.mark.parametrize("step", [0.1, -0.1])
 def test_a_step_of_reactive_power_ends_at_the_power_flow_with_so_much_more(P, step):
@@ -109,6 +110,7 @@ def test_a_step_of_reactive_power_ends_at_the_power_flow_with_so_much_more(P, st
         assert (y[f"bus{bus}.v"] - before[f"bus{bus}.v"]) * step > 0.01 * step * step
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("end", ENDS)
 def test_a_step_of_voltage_ends_at_that_voltage_with_the_reactive_power_that_it_takes(end):
     """Against (u (u - X iq))^2 + (X P)^2 = (u E)^2 of the source behind its reactance."""

@@ -75,6 +75,7 @@ def test_its_slopes_are_those_of_complex_steps(name, network):
     assert np.max(np.abs(slopes[own] - wanted)) < 1e-9 * np.max(np.abs(wanted))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["speed", "rated", "plant"])
 def test_at_rest_it_stands_for_20_s(name):
     _, own, out = course(beside_machines(TURBINES[name][0]), 20.0, 0.002)
