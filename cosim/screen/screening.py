@@ -65,6 +65,20 @@ class Screening:
                 "step of the plant"
             )
 
+    @property
+    def case_path(self) -> str:
+        """Name of the bundled grid, or the path of its file."""
+        return str(load_scenario({"case": self.case, "stop_s": 1.0}).case_path)
+
+    def load(self) -> Case:
+        """Return the grid.
+
+        Raises
+        ------
+        ScenarioError, CaseError : no such grid, or one that breaks a rule.
+        """
+        return load_case(self.case_path)
+
     def places(self, case: Case) -> list[Any]:
         """Return the numbers of the buses, or names of the branches, that are disturbed in turn.
 
@@ -103,8 +117,7 @@ class Screening:
         ------
         SweepError, ScenarioError, CaseError : a place, an outage or a value that does not fit.
         """
-        path = load_scenario({"case": self.case, "stop_s": 1.0}).case_path
-        case = case or load_case(path)
+        path, case = self.case_path, case or self.load()
         if not self.stop_s > START_S + self.clearing_s:
             least = START_S + self.clearing_s
             raise SweepError(f"the run ends at {self.stop_s:g} s, allowed: after the fault, {least:g} s")
@@ -122,7 +135,7 @@ class Screening:
             search = {"low": least, "high": most, "tolerance": self.tolerance_s, "scan": 3}
             parameters["cleared"] = {"path": "event.1.end_s", "bisect": search, "unit": "s"}
         scenario: dict[str, Any] = {
-            "case": str(path) if Path(path).is_absolute() else self.case,
+            "case": path if Path(path).is_absolute() else self.case,
             "stop_s": self.stop_s,
             "event": [self.event(places[0])],
             "plant": {} if self.solver_step_s is None else {"solver.step": self.solver_step_s},
@@ -174,10 +187,12 @@ def run_screening(
     scheduler: str | None = None,
     cache: Path | None = None,
     progress: Callable[[Progress], object] | None = None,
+    case: Case | None = None,
 ) -> list[Screened]:
     """Run the missing runs of a screening into `folder`; return the result of each disturbance, worst first.
 
-    clearing : search the clearing times too. Parameters as of `run_sweep`.
+    clearing : search the clearing times too. case : the grid where it is already loaded. Other parameters as
+        of `run_sweep`.
 
     Raises
     ------
@@ -190,6 +205,7 @@ def run_screening(
         "scheduler": scheduler,
         "cache": cache,
         "progress": progress,
+        "case": case or screening.load(),
     }
     rows = _rows_of(screening, folder / FAULTS, options, clearing=False)
     critical: Mapping[tuple[str, str, str], float | None] = {}
@@ -198,19 +214,30 @@ def run_screening(
     return worst_first(rows, screening, critical)
 
 
+def run_screened(
+    screening: Screening, folder: Path, *, case: Case, clearing: bool = False, **options: Any
+) -> pd.DataFrame:
+    """Run the missing runs of a screening, or of its clearing times, into `folder`; return the rows of all.
+
+    case : its grid. options : of `run_sweep`.
+    """
+    sweep = screening.sweep(clearing=clearing, case=case)
+    run_sweep(sweep, folder, loaded={str(sweep.base.case): case}, **options)
+    return read_rows(folder)
+
+
 def _rows_of(
     screening: Screening, folder: Path, options: Mapping[str, Any], *, clearing: bool
 ) -> pd.DataFrame:
     """Return the rows of a sweep, those of places with a failed run from runs with `repeat_step_s`."""
-    run_sweep(screening.sweep(clearing=clearing), folder, **options)
-    rows, kind = read_rows(folder), PLACE[screening.kind]
+    rows, kind = run_screened(screening, folder, clearing=clearing, **options), PLACE[screening.kind]
     failed = tuple(dict.fromkeys(rows[kind][rows["status"] != "ok"].tolist()))
     if screening.repeat_step_s is None or not failed:
         return rows
     again = replace(screening.at(failed), solver_step_s=screening.repeat_step_s)
     part = folder.with_name(folder.name + REPEATED)
-    run_sweep(again.sweep(clearing=clearing), part, **options)
-    return pd.concat([rows[~rows[kind].isin(failed)], read_rows(part)], ignore_index=True)
+    repeated = run_screened(again, part, clearing=clearing, **options)
+    return pd.concat([rows[~rows[kind].isin(failed)], repeated], ignore_index=True)
 
 
 def _key(row: Mapping[Any, Any], screening: Screening) -> tuple[str, str, str]:

@@ -11,14 +11,12 @@ import numpy as np
 import pandas as pd
 
 from interarea.models.blocks.plant import default_step_s
-from interarea.models.case.case import Case, load_case
+from interarea.models.case.case import Case
 from interarea.models.grid.equilibrium import operating_point
 from interarea.models.grid.machine_tables import in_plant_order
 
-from ..scenario.scenario import load_scenario
-from ..sweep.front import Progress, run_sweep
-from ..sweep.parts import read_rows
-from .screening import PLACE, Screening
+from ..sweep.front import Progress
+from .screening import PLACE, Screening, run_screened
 
 STEPS = "steps"  #: folder of the sweeps that are compared
 FROM = 100  #: runs from which on the comparison costs less than it saves
@@ -63,6 +61,7 @@ def choose_step(
     scheduler: str | None = None,
     cache: Path | None = None,
     progress: Callable[[Progress], object] | None = None,
+    case: Case | None = None,
 ) -> StepChoice | None:
     """Compare steps at three places of a large screening; return the longest that is exact enough.
 
@@ -71,7 +70,7 @@ def choose_step(
     """
     if screening.solver_step_s is not None:
         return None
-    case = load_case(load_scenario({"case": screening.case, "stop_s": 1.0}).case_path)
+    case = case or screening.load()
     if screening.sweep(case=case).size < FROM:
         return None
     own_s = _own_step_s(case)
@@ -87,12 +86,12 @@ def choose_step(
         "scheduler": scheduler,
         "cache": cache,
         "progress": progress,
+        "case": case,
     }
 
     def results(step_s: float) -> pd.DataFrame:
         part = folder / STEPS / f"{1000 * step_s:g}_ms"
-        run_sweep(replace(few, solver_step_s=step_s).sweep(case=case), part, **options)
-        return read_rows(part).set_index(kind)
+        return run_screened(replace(few, solver_step_s=step_s), part, **options).set_index(kind)
 
     names = tuple(f"{kind} {place}" for place in places)
     exact = results(own_s)

@@ -12,6 +12,7 @@ from typing import Any, Literal
 
 from interarea.fmu_build.write.cache import default_cache
 from interarea.models.blocks.plant_shown import shows_powers
+from interarea.models.case.case import Case
 from interarea.models.files import temporary_folder
 from interarea.models.grid.memory import MIB, require_memory, run_bytes
 
@@ -54,13 +55,15 @@ def run_sweep(
     progress: Callable[[Progress], object] | None = None,
     controllers: Mapping[str, ControllerLike] | None = None,
     retry: Literal["failed"] | None = None,
+    loaded: Mapping[str, Case] | None = None,
 ) -> dict[str, Any]:
     """Run what is missing of a sweep into `folder`; return the counts of its summary.
 
     workers : processes on this machine; default one for each core. scheduler : address of a dask scheduler
         whose workers compute instead. large : confirm more than `LARGEST` runs.
     controllers : user-defined, by the name that the scenario or a parameter on `controller` has for them.
-    retry : "failed": runs that failed before are done again too.
+    retry : "failed": runs that failed before are done again too. loaded : cases that need not be read, by the
+        name that the scenario or a parameter on `case` has for them.
 
     Raises
     ------
@@ -68,7 +71,7 @@ def run_sweep(
     """
     store_in = default_cache() if cache is None else cache
     sweep = source if isinstance(source, Sweep) else load_sweep(source)
-    plan = plan_sweep(sweep, store_in, large=large, controllers=controllers)
+    plan = plan_sweep(sweep, store_in, large=large, controllers=controllers, loaded=loaded)
     _refuse_what_no_run_takes(plan, store_in)
     with SweepStore(folder, plan) as store:
         if retry == "failed":

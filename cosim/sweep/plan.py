@@ -107,12 +107,17 @@ class SweepPlan:
 
 
 def plan_sweep(
-    sweep: Sweep, cache: Path, *, large: bool = False, controllers: Mapping[str, ControllerLike] | None = None
+    sweep: Sweep,
+    cache: Path,
+    *,
+    large: bool = False,
+    controllers: Mapping[str, ControllerLike] | None = None,
+    loaded: Mapping[str, Case] | None = None,
 ) -> SweepPlan:
     """Load the cases, design the controllers, try the values; nothing is written but into `cache`.
 
     large : confirm more than `LARGEST` runs. controllers : user-defined, by the name that the scenario or
-        a parameter on `controller` has for them.
+        a parameter on `controller` has for them. loaded : cases that need not be read, by the same rule.
 
     Raises
     ------
@@ -122,7 +127,8 @@ def plan_sweep(
     names = _listed(sweep, "case") or [str(sweep.base.case)]
     folder = sweep.base.folder
     paths = {n: load_scenario({"case": n, "stop_s": 1.0, "folder": folder}).case_path for n in names}
-    cases = {n: load_case(path) for n, path in paths.items()}
+    known = loaded or {}
+    cases = {n: known[n] if n in known else load_case(path) for n, path in paths.items()}
     result = _controllers_of(sweep, cases, controllers or {}, cache)
     check_paths(sweep, cases[names[0]], _parameters_of(result, cases))
     check_values(sweep, cases[names[0]])

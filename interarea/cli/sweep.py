@@ -249,6 +249,7 @@ def screen(
         raise SweepError("--bus belongs to faults and --branch to --trips, allowed: the matching one")
     pages = ("screen.json", "screen.csv", "screen.html", *(["explorer.html"] if explore else []))
     folder_for(out, files=pages)
+    case = Screening(grid).load()
     screening = Screening(
         case=grid,
         kind="trip" if trips else "fault",
@@ -256,12 +257,12 @@ def screen(
         branches=tuple(branch or ()),
         outages=tuple(outage or ()),
         controllers=tuple(controller or ()),
-        clearing_s=_seconds(clearing, grid),
+        clearing_s=_seconds(clearing, case.frequency_hz),
         stop_s=stop,
         step_s=step,
         solver_step_s=solver_step,
     )
-    options: dict[str, Any] = {"workers": workers, "scheduler": scheduler}
+    options: dict[str, Any] = {"workers": workers, "scheduler": scheduler, "case": case}
     screening = _with_step(screening, out, tell=not json_, **options)
     with sweeping(out) as show:
         result = run_screening(screening, out, clearing=clearing_times, progress=show, **options)
@@ -316,16 +317,11 @@ def _tell_losses(result: Sequence[Screened]) -> None:
         typer.echo(f"controller {name}: {count}{swings}{failed}")
 
 
-def _seconds(text: str, grid: str) -> float:
+def _seconds(text: str, frequency_hz: float) -> float:
     """Return a time in words, of the grid's frequency where it is in cycles."""
-    from interarea.cosim.scenario.scenario import load_scenario
-    from interarea.models.case.case import load_case
     from interarea.models.documents import in_seconds
 
-    def frequency_hz() -> float:
-        return load_case(load_scenario({"case": grid, "stop_s": 1.0}).case_path).frequency_hz
-
-    time = in_seconds({"clearing_s": text}, frequency_hz)["clearing_s"]
+    time = in_seconds({"clearing_s": text}, lambda: frequency_hz)["clearing_s"]
     if isinstance(time, str) or not time > 0.0:
         raise SweepError(
             f'--clearing = {text}, allowed: a time above 0 such as "6 cycles", "100 ms", "0.1 s"'
