@@ -141,13 +141,17 @@ def strongest_line(record: Record, signals: Sequence[Array], band_hz: tuple[floa
 
 def _flows(terminals: Sequence[Terminal], narrow: Narrow) -> list[Flow]:
     """Return the slopes of W at terminals, of the record and of its halves."""
-    P = np.column_stack([t.P for t in terminals])
-    Q = np.column_stack([np.zeros_like(t.P) if t.Q is None else t.Q for t in terminals])
-    log_v, angle = (np.column_stack(x) for x in zip(*((t.log_v, t.angle) for t in terminals), strict=True))
-    power = narrow.power(P, Q, log_v, angle)
+    measured = (
+        [t.P for t in terminals],
+        [np.zeros_like(t.P) if t.Q is None else t.Q for t in terminals],
+        [t.log_v for t in terminals],
+        [t.angle for t in terminals],
+    )
+    P, *others = (narrow.of(np.column_stack(x)) for x in measured)
+    power = narrow.power(P, *others)
     middle = len(power) // 2
     slopes = [narrow.slopes(part).tolist() for part in (power, power[:middle], power[middle:])]
-    rms = narrow.of(P).std(axis=0).tolist()
+    rms = P.std(axis=0).tolist()
     return [
         Flow(t.name, whole, (first, second), size, t.machine)
         for t, whole, first, second, size in zip(terminals, *slopes, rms, strict=True)

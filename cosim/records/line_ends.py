@@ -102,7 +102,7 @@ def _energy(a: Terminal, b: Terminal, S1: _Phasors, S2: _Phasors, narrow: Narrow
     """Return the slopes of W of powers at two terminals."""
     S = np.column_stack([S1, S2])
     log_v, angle = (np.column_stack(x) for x in ((a.log_v, b.log_v), (a.angle, b.angle)))
-    return narrow.slopes(narrow.power(S.real, S.imag, log_v, angle))
+    return narrow.slopes(narrow.power(*map(narrow.of, (S.real, S.imag, log_v, angle))))
 
 
 def _of_the_line(a: Terminal, b: Terminal, narrow: Narrow) -> tuple[_Phasors, _Phasors] | None:

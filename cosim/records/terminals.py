@@ -58,9 +58,9 @@ class Narrow:
         return values[edge : len(values) - edge]
 
     def power(self, P: Array, Q: Array, log_v: Array, angle: Array) -> Array:
-        """Return dW/dt = P d(angle)/dt + Q d(ln V)/dt of the motion in the band, without the ends."""
-        d_angle, d_log_v = (np.gradient(self.of(x), self.step_s, axis=0) for x in (angle, log_v))
-        return self.inside(self.of(P) * d_angle + self.of(Q) * d_log_v)
+        """Return dW/dt = P d(angle)/dt + Q d(ln V)/dt, without the ends. P, Q, log_v, angle : in the band."""
+        d_angle, d_log_v = (np.gradient(x, self.step_s, axis=0) for x in (angle, log_v))
+        return self.inside(P * d_angle + Q * d_log_v)
 
     def slopes(self, power: Array) -> Array:
         """Return the slopes of the lines through the energies of powers."""

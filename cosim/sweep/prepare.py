@@ -50,6 +50,6 @@ def prepare(plan: SweepPlan, cache: Path) -> list[Path]:
 def _plant_binaries(cases: Collection[Case], cache: Path) -> list[Path]:
     """Return the libraries that step plants of `cases` side by side, and their FMUs' binaries."""
     libraries = (lanes_here(cache, case).library for case in cases)
-    beside = [library.path for library in libraries if library is not None]
+    beside = dict.fromkeys(library.path for library in libraries if library is not None)
     sources = dict.fromkeys(plant_sources(case) for case in cases)
-    return beside + [compile_binary("plant", files, host_platform(), cache=cache) for files in sources]
+    return [*beside, *(compile_binary("plant", files, host_platform(), cache=cache) for files in sources)]
