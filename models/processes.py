@@ -16,7 +16,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 from pathlib import Path
 from typing import TypeVar
 
@@ -26,7 +26,7 @@ _POSIX = os.name == "posix"
 _GUARD = Path(__file__).with_name("guard.py")
 _LOOK_S = 0.25  # between two looks at the parent: soon enough, and 4 looks a second cost nothing
 
-_guarded: set[subprocess.Popen[bytes]] = set()
+_guarded: dict[subprocess.Popen[bytes], int] = {}  # with the thread that waits for it
 _interrupted: set[subprocess.Popen[bytes]] = set()
 _Given = TypeVar("_Given")
 _Made = TypeVar("_Made")
@@ -58,7 +58,7 @@ def run_guarded(
         stderr=subprocess.PIPE,
         start_new_session=_POSIX,
     )
-    _guarded.add(process)
+    _guarded[process] = threading.get_ident()
     parent_pipe, process.stdin = process.stdin, None  # `communicate` would close it
     try:
         out, err = process.communicate(timeout=timeout_s)
@@ -67,7 +67,7 @@ def run_guarded(
         process.wait()
         raise
     finally:
-        _guarded.discard(process)
+        _guarded.pop(process, None)
         if parent_pipe is not None:
             parent_pipe.close()
     if process in _interrupted:  # its failure is none of the command's: nobody may try again
@@ -82,21 +82,37 @@ def side_by_side(call: Callable[[_Given], _Made], items: Iterable[_Given]) -> li
 
     Interrupted, it ends the commands under way, and no other begins.
     """
+    with begun(call, items) as waiting:
+        return [one.result() for one in waiting]
+
+
+@contextlib.contextmanager
+def begun(call: Callable[[_Given], _Made], items: Iterable[_Given]) -> Iterator[list[Future[_Made]]]:
+    """Call as `side_by_side` does while the body runs; after it no other call begins.
+
+    A body that fails or is interrupted ends the commands under way; after one that does not they go on.
+    """
+    threads: set[int] = set()
+
+    def one(item: _Given) -> _Made:
+        threads.add(threading.get_ident())
+        return call(item)
+
     pool, waiting = ThreadPoolExecutor(os.cpu_count()), []
     try:
         for item in items:
-            waiting.append(pool.submit(call, item))
-        return [one.result() for one in waiting]
-    except KeyboardInterrupt:
+            waiting.append(pool.submit(one, item))
+        yield waiting
+    except BaseException:
         pool.shutdown(wait=False, cancel_futures=True)
         while not all(one.done() for one in waiting):
-            for process in list(_guarded):
+            for process in [process for process, thread in list(_guarded.items()) if thread in threads]:
                 _interrupted.add(process)
                 _kill(process)
             time.sleep(_LOOK_S / 5)
         raise
     finally:
-        pool.shutdown(cancel_futures=True)
+        pool.shutdown(wait=False, cancel_futures=True)
 
 
 def processor_s() -> float:

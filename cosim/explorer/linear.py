@@ -7,13 +7,15 @@ per operating point and per controller, and none while a slider moves.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import control
 import numpy as np
 import numpy.typing as npt
 
 from interarea.design.linear.linearise import LinearisationError
+
+if TYPE_CHECKING:
+    import control
 
 ComplexMatrix = npt.NDArray[np.complex128]
 _AT = 3j  #: 1/s, amid the swing modes: here both forms of the transfer function must agree

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from interarea.design.controllers.controller import Controller
-from interarea.design.delay.curves import delay_margin
 from interarea.design.linear.linearise import speeds_in_rad
 from interarea.models.case.case import Case
 
@@ -72,6 +71,8 @@ def late_ms(subject: Subject, name: str) -> float | None:
     controller = subject.controllers[name]
     if not isinstance(controller, Controller):
         return None
+    from interarea.design.delay.curves import delay_margin
+
     try:
         plant = speeds_in_rad(subject.linear(subject.points[0]), subject.case.omega_b)
         margin = delay_margin(plant, controller.system).margin_s

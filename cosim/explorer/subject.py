@@ -8,8 +8,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import control
-
 from interarea.design.controllers.bank import ControllerBank
 from interarea.design.controllers.bundled import shipped_names
 from interarea.design.controllers.controller import Controller
@@ -30,6 +28,8 @@ from ..scenario.names import CONTROLLER_NAMES
 from ..scenario.scenario import Scenario, load_scenario
 
 if TYPE_CHECKING:
+    import control
+
     AnyController = Controller | ControllerBank
 
 _DESIGN_FAILS = (InfeasibleDesign, UncertifiedDesign, SolverError, ModeError, LinearisationError, ValueError)

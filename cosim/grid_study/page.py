@@ -20,9 +20,8 @@ from interarea.models.files import write_whole
 from ..designs.certificate_words import in_words
 from ..designs.worth import HEADER as WORTH_HEADER
 from ..designs.worth import table_rows
-from ..maps.page import plain
 from ..plots.curves import DASHES, MUTED, SERIES, STYLE, WIDTH
-from ..plots.html import page_environment, page_figure
+from ..plots.html import page_environment, page_figure, plain
 from ..plots.mode_map import shape_plot
 from .local_stabilizers import WASHOUT_S
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import html
-import math
 from collections.abc import Callable, Hashable, Mapping
 from pathlib import Path
 from typing import Any
@@ -17,7 +15,7 @@ from interarea.fmu_build.write.cache import default_cache
 from interarea.models.files import temporary_folder, together, write_whole
 
 from ..errors import SweepError
-from ..plots.html import page_environment, page_figure
+from ..plots.html import page_environment, page_figure, plain
 from ..sweep.parts import read_plan, read_rows
 from ..sweep.plan import SweepPlan, code_version
 from ..sweep.rows import FAILURES
@@ -340,17 +338,6 @@ def _range(sweep: Sweep, name: str) -> str:
         listed = [plain(p.grid_value(k)) for k in range(min(p.size, 12))]
         what = ", ".join(listed) + (f", ... ({p.size} values)" if p.size > 12 else "")
     return f"{where}: {what}"
-
-
-def plain(value: Any) -> str:
-    if value is None or (isinstance(value, float) and math.isnan(value)):
-        return "–"
-    if isinstance(value, bool | np.bool_):
-        return "yes" if value else "no"
-    if isinstance(value, float | np.floating):
-        text = f"{value:.0f}" if 1e4 <= abs(float(value)) < 1e7 else f"{value:.4g}"
-        return text.replace("-", "−")
-    return html.unescape(str(value))
 
 
 def _silent(_: str, __: float) -> None:

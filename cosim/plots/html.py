@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import html
 import json
+import math
 import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -145,3 +147,15 @@ def _thinned(line: Line2D) -> tuple[list[float], list[float | None]] | None:
         [float(f"{v:.6g}") for v in x[::every]],
         [float(f"{v:.4g}") if np.isfinite(v) else None for v in y[::every]],
     )
+
+
+def plain(value: Any) -> str:
+    """Return a value as the cell of a table shows it: 4 digits, a minus sign, a dash for none."""
+    if value is None or (isinstance(value, float) and math.isnan(value)):
+        return "–"
+    if isinstance(value, bool | np.bool_):
+        return "yes" if value else "no"
+    if isinstance(value, float | np.floating):
+        text = f"{value:.0f}" if 1e4 <= abs(float(value)) < 1e7 else f"{value:.4g}"
+        return text.replace("-", "−")
+    return html.unescape(str(value))

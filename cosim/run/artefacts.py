@@ -53,7 +53,9 @@ def plant_fmu(
     """
 
     def block() -> Block:
-        from interarea.models.blocks.plant import plant_block
+        from interarea.fmu_build.write.compile import host_platform, objects_begun
+        from interarea.fmu_build.write.sources import record_source, source_files
+        from interarea.models.blocks.plant import plant_block, plant_sources
         from interarea.models.blocks.plant_shown import shows_powers
 
         require_memory(
@@ -61,7 +63,9 @@ def plant_fmu(
             f"{case.name}: the plant of {len(case.buses)} buses and {len(case.machines)} machines",
             "free memory, use a larger computer or a smaller grid",
         )
-        return plant_block(case, event_slots=event_slots, show=show, more=more)
+        sources = source_files((*plant_sources(case), record_source()))
+        with objects_begun("plant", sources, host_platform(), cache):
+            return plant_block(case, event_slots=event_slots, show=show, more=more)
 
     provided = [case.model_dump_json(), event_slots, None if show is None else list(show), list(more)]
     return built_fmu(cache, "plant", case.name, provided, block)

@@ -18,10 +18,8 @@ from interarea.models.files import together, write_whole
 
 from ..explorer.address import link_of
 from ..explorer.content import RANGES
-from ..explorer.page import write_where_held
-from ..maps.page import plain
 from ..plots.curves import DASHES, MUTED, SERIES, STYLE, WIDTH
-from ..plots.html import page_environment, page_figure
+from ..plots.html import page_environment, page_figure, plain
 from ..results.largest_deviation import OUT_OF_STEP_DEG
 from ..results.verdict import GROWING, STANDING
 from .screening import PLACE, Screened, Screening
@@ -55,6 +53,8 @@ class Explorer:
 
 def write_grid(screening: Screening, folder: Path, cache: Path) -> Explorer:
     """Write `explorer.html` of the screened grid, or return why no page can simulate it."""
+    from ..explorer.page import write_where_held
+
     path = folder / "explorer.html"
     subject, why = write_where_held(lambda: screening.sweep().base, path, cache)
     return Explorer("" if subject is None else path.name, why)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,12 +11,13 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from interarea.models.blocks.plant import default_step_s
+from interarea.fmu_build.open.own import open_own
+from interarea.fmu_build.write.cache import default_cache
+from interarea.models.blocks.variables import STEP_PARAMETER
 from interarea.models.case.case import Case
-from interarea.models.grid.equilibrium import operating_point
-from interarea.models.grid.machine_tables import in_plant_order
 
 from ..sweep.front import Progress
+from ..sweep.live_instances import plant_of_sweep
 from .screening import PLACE, Screening, run_screened
 
 STEPS = "steps"  #: folder of the sweeps that are compared
@@ -73,9 +75,7 @@ def choose_step(
     case = case or screening.load()
     if screening.sweep(case=case).size < FROM:
         return None
-    own_s = _own_step_s(case)
-    longer = [step for step in LONGER_S if step > own_s]
-    if not longer:
+    if case.solver_step_s is not None and case.solver_step_s >= max(LONGER_S):
         return None
     every = screening.places(case)
     places = [every[k * len(every) // 6] for k in (1, 3, 5)]
@@ -89,23 +89,26 @@ def choose_step(
         "case": case,
     }
 
-    def results(step_s: float) -> pd.DataFrame:
-        part = folder / STEPS / f"{1000 * step_s:g}_ms"
+    def results(step_s: float | None) -> pd.DataFrame:
+        part = folder / STEPS / ("own" if step_s is None else f"{1000 * step_s:g}_ms")
         return run_screened(replace(few, solver_step_s=step_s), part, **options).set_index(kind)
 
     names = tuple(f"{kind} {place}" for place in places)
-    exact = results(own_s)
-    for step in longer:
+    exact = results(None)
+    own_s = _own_step_s(few, case, default_cache() if cache is None else cache)
+    for step in LONGER_S:
+        if not step > own_s:
+            break
         changes = changes_of(exact, results(step))
         if changes is not None:
             return StepChoice(step, own_s, names, changes)
     return StepChoice(own_s, own_s, names, {})
 
 
-def _own_step_s(case: Case) -> float:
-    if case.solver_step_s is not None:
-        return case.solver_step_s
-    return default_step_s(operating_point(in_plant_order(case)))
+def _own_step_s(screening: Screening, case: Case, cache: Path) -> float:
+    """Return the step that the plant of the runs has by itself."""
+    with contextlib.closing(open_own(plant_of_sweep(screening.sweep(case=case), case, cache), cache)) as file:
+        return file.start_of(STEP_PARAMETER)
 
 
 def changes_of(exact: pd.DataFrame, other: pd.DataFrame) -> dict[str, float] | None:

@@ -34,6 +34,7 @@ from .plan import SweepPlan, own_fmu
 from .point import CaseChange, Point
 from .rows import COMMUTATION, Row, deviation_row, measured, packet_counts
 from .shared_start import Beginning, Instances, Job, beginning_of, taken_over
+from .spec import Sweep
 
 KEPT = 4  #: plants, and sets of instances, that stay alive
 
@@ -65,6 +66,16 @@ class Plant:
         self.file.close()
         if self.own:
             self.file.path.unlink(missing_ok=True)
+
+
+def shown_of_sweep(sweep: Sweep, case: Case) -> dict[str, Any]:
+    """Return what the plant of an unchanged or changed case shows in the runs of a sweep."""
+    return {"show": sweep.show, "more": (*sweep.base.shows, *Judge.reads(case))}
+
+
+def plant_of_sweep(sweep: Sweep, case: Case, cache: Path) -> Path:
+    """Return the plant FMU of an unchanged case of a sweep."""
+    return plant_fmu(case, cache, **shown_of_sweep(sweep, case))
 
 
 class LiveFmus(Fmus):
@@ -101,11 +112,11 @@ class LiveFmus(Fmus):
     def _made(self, change: CaseChange, slots: int) -> Plant:
         base = self.base(change.case)
         case = change.apply(base)
-        show, more = self.plan.sweep.show, (*self.plan.sweep.base.shows, *Judge.reads(case))
         if case is base and slots == EVENT_SLOTS:
-            return Plant(case, self.built(plant_fmu(case, self.cache, show=show, more=more)), own=False)
+            return Plant(case, self.built(plant_of_sweep(self.plan.sweep, case, self.cache)), own=False)
         path = self.scratch / f"plant-{case.hash}-{slots}.fmu"
-        build_fmu(plant_block(case, event_slots=slots, show=show, more=more), path, cache=self.cache)
+        shown = shown_of_sweep(self.plan.sweep, case)
+        build_fmu(plant_block(case, event_slots=slots, **shown), path, cache=self.cache)
         return Plant(case, FmuFile(path), own=True)
 
     def plant(self, case: Case, event_slots: int, more: tuple[str, ...] = ()) -> FmuFile:

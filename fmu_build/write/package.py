@@ -19,8 +19,8 @@ from interarea.models.blocks.variables import Block
 from interarea.models.files import write_whole
 
 from ..errors import BuildError
-from .cache import artefact, content_hash, host_machine, source_hash
-from .compile import PLATFORMS, compile_library, host_platform
+from .cache import artefact, content_hash, default_cache, host_machine, source_hash
+from .compile import PLATFORMS, compile_library, host_platform, objects_begun, platform_of
 from .description_xml import render
 from .documentation import documentation
 from .sources import record_source, source_files
@@ -48,16 +48,20 @@ def build_fmu(
         raise BuildError(
             f"block name {block.name!r} is no C identifier; use letters, digits and _ (it names the binary)"
         )
-    path = Path(path)
+    path, cache = Path(path), cache or default_cache()
     if path.is_dir():
         path = path / f"{block.name}.fmu"
     names = [host_platform()] if platforms is None else list(dict.fromkeys(platforms))
     if not names:
         raise BuildError(f"no platform was asked for; allowed: {', '.join(PLATFORMS)}")
     sources = source_files((*block.sources, record_source()))
-    binaries = {name: compile_library(block.kind, sources, name, cache=cache) for name in names}
-    content = _archive(block, sources, {name: file.read_bytes() for name, file in binaries.items()})
-    return write_whole(path, content)
+    for name in names:
+        platform_of(name)
+    with objects_begun(block.kind, sources, names[0], cache):
+        description, record = render(block, sources)
+    libraries = {name: compile_library(block.kind, sources, name, cache=cache) for name in names}
+    binaries = {name: file.read_bytes() for name, file in libraries.items()}
+    return write_whole(path, _archive(block, description, record, sources, binaries))
 
 
 def block_fmu(block: Block, cache: Path, *, platforms: Sequence[str] | None = None) -> Path:
@@ -95,9 +99,10 @@ def _raw(value: object) -> bytes | np.ndarray[Any, Any]:
     return value if isinstance(value, bytes) else np.asarray(value)
 
 
-def _archive(block: Block, sources: Mapping[str, bytes], binaries: dict[str, bytes]) -> bytes:
+def _archive(
+    block: Block, description: str, record: bytes, sources: Mapping[str, bytes], binaries: dict[str, bytes]
+) -> bytes:
     """Bytes of the FMU; entries sorted, one fixed date, so nothing depends on when or where."""
-    description, record = render(block, sources)
     entries: dict[str, bytes] = {
         "modelDescription.xml": description.encode("utf-8"),
         "model.png": _picture(),

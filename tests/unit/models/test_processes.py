@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from interarea.models.processes import process_pool, processor_s, run_guarded
+from interarea.models.processes import begun, process_pool, processor_s, run_guarded
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals and process groups")
 
@@ -125,6 +125,21 @@ def test_interrupted_side_by_side_ends_commands_and_begins_no_other(tmp_path: Pa
     main = _started(SIDE_BY_SIDE, tmp_path / "pid")
     assert main.wait(50) != 0  # before any of the commands would end
     assert not (tmp_path / "pid.again").exists()
+
+
+def test_calls_begun_before_a_body_that_fails_end(tmp_path: Path) -> None:
+    begin_s = time.monotonic()
+    with pytest.raises(ZeroDivisionError), begun(run_guarded, [["sleep", "60"]] * 9):
+        raise ZeroDivisionError
+    assert time.monotonic() - begin_s < 50.0
+
+
+def test_calls_begun_go_on_after_the_body_and_others_are_cancelled(tmp_path: Path) -> None:
+    line = "echo a >> {0}.begun; sleep 1; echo a >> {0}.done"
+    with begun(run_guarded, [["sh", "-c", line.format(tmp_path / "calls")]] * 99) as calls:
+        assert _comes(lambda: (tmp_path / "calls.begun").exists())
+    assert calls[-1].cancelled() and calls[0].result().returncode == 0
+    assert (tmp_path / "calls.done").exists()
 
 
 def test_an_interrupt_in_a_callback_comes_again(tmp_path: Path) -> None:

@@ -11,8 +11,8 @@ static const double SLOW = 0.3;         /* contraction above which other slopes 
 static const double SLOWER = 0.004;     /* contraction above which they are wanted when these have been used enough */
 static const double OFTEN = 64.0;        /* solutions that pay for other slopes */
 static const double LEAST = 1e-4;       /* contraction that is believed */
-static const double MARGIN = 4.0;        /* how much slower it may be than a solution before has found it */
-static const double DECAY = 1.1;       /* by what it is taken to be slower after a solution that did not look */
+static const double MARGIN = 2.0;        /* how much slower it may be than a solution before has found it */
+static const double DECAY = 1.05;      /* by what it is taken to be slower after a solution that did not look */
 static const double SAME_S = 1e-9;      /* times so close are one */
 static const double MOST_FLUX = 1.2;    /* where an iteration may start: psi_I grows exponentially */
 

@@ -6,6 +6,7 @@ import importlib.util
 import re
 import struct
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -194,6 +195,25 @@ def test_binaries_share_objects(binaries: Path, tmp_path: Path) -> None:
     compile_binary("other", (other,), "linux64", cache=binaries)
     made = {p.name.split("-")[0] for p in set((binaries / "objects").iterdir()) - before}
     assert made == {"other"}
+
+
+def test_objects_begun_early_are_those_of_the_library(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A broken file is left to `compile_library`; a library that is there begins none."""
+    sources = source_files((DECAY_C, record_source()))
+    with compiling.objects_begun("decay", sources, "linux64", tmp_path):
+        while not any(p.name.startswith("fmi2_cs-") for p in (tmp_path / "objects").glob("*.o")):
+            time.sleep(0.05)
+    early = set((tmp_path / "objects").glob("*.o"))
+    compiling.compile_library("decay", sources, "linux64", cache=tmp_path)
+    late = set((tmp_path / "objects").glob("*.o"))
+    assert early <= late and len(late) == sum(name.endswith(".c") for name in sources)
+    with compiling.objects_begun("decay", sources | {"x.c": b"?"}, "linux64", tmp_path):
+        pass
+    monkeypatch.setattr(compiling, "begun", None)
+    with compiling.objects_begun("decay", sources, "linux64", tmp_path):
+        pass
 
 
 @pytest.mark.parametrize(
