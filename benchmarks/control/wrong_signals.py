@@ -1,6 +1,6 @@
 """What a detector of wrong signals makes of right ones (docs/wrong_signals.md): disturbances, ambient noise.
 
-python benchmarks/control/wrong_signals.py --design FILE [--most RUNS] [CONTROLLER ...]
+python benchmarks/control/wrong_signals.py --design FILE [--most RUNS | --drawn RUNS] [CONTROLLER ...]
 python benchmarks/control/wrong_signals.py --design FILE --ambient-hours 24 [CONTROLLER]
 
 FILE: of `design_detector`, made for the first controller where it is not there yet; for ambient noise one for
@@ -8,6 +8,8 @@ the four machines of two areas.
 Disturbances: packets every 20 ms, remote signals 100 ms late, witnesses 50 ms; none must alarm. Faults at
 buses without machines, pulses and steps of machines, steps of the largest loads, trips of the controller's
 design; on a grid with a tie at three flows of it, else at three loads. None of these points is in a design.
+--drawn: so many random ones instead, at POINTS random points: faults of 2 to 9 cycles with or without a trip,
+steps, pulses, trips, in a third of the runs a second event 1 to 4 s later, at any of 20 phases of a sample.
 Ambient noise: the linear loop, driven by independent random torques at each machine that give 3 mHz rms
 between G2 and G4, and 1 mHz of each PMU, in many records side by side; every test that compares signals.
 What wrong signals do: `interarea certify NAME --wrong-signals`.
@@ -15,7 +17,7 @@ What wrong signals do: `interarea certify NAME --wrong-signals`.
 
 import argparse
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -47,6 +49,7 @@ LATENCY_S = {"G2_dw": 0.1, "G4_dw": 0.0, "G1_dw": 0.05, "G3_dw": 0.05}
 RATED_HZ = 60.0
 SWING_HZ, PMU_HZ = 3e-3, 1e-3  # rms between G2 and G4; of each frame
 RECORDS, PART = 400, 5000  # side by side; stamps kept at once
+POINTS, BESIDE = 10, 100  # random operating points; runs kept at once
 TESTS = ("pattern", "lasting", "apart", "alone", "rough", "standing", "growing")
 
 
@@ -58,6 +61,66 @@ def points(case: Case) -> Iterator[tuple[str, Case]]:
     else:
         for tie_mw in (-100.0, 0.0, 100.0):
             yield f"tie {tie_mw:+g} MW", operating_variant(case, tie_flow_mw=tie_mw)
+
+
+def drawn_points(case: Case, random: np.random.Generator) -> Iterator[tuple[str, Case]]:
+    """Yield random operating points: flows of the tie within 120 MW of its own, or loads within 3 %."""
+    for _ in range(POINTS):
+        share = random.uniform(-1.0, 1.0)
+        if case.tie is None:
+            yield f"load {1.0 + 0.03 * share:.4f}", operating_variant(case, load_scale=1.0 + 0.03 * share)
+        else:
+            yield f"tie {120.0 * share:+.1f} MW", operating_variant(case, tie_flow_mw=120.0 * share)
+
+
+def drawn(case: Case, trips: Sequence[str], random: np.random.Generator) -> list[dict[str, Any]]:
+    """Return one random disturbance: an event and what follows from it or comes later."""
+    events = one_drawn(case, trips, round(1.0 + random.uniform(0.0, INTERVAL_S), 3), random)
+    if random.uniform() < 1.0 / 3.0:
+        later = round(events[0]["start_s"] + random.uniform(1.0, 4.0), 3)
+        events += [
+            e for e in one_drawn(case, trips, later, random) if e.get("branch") not in branches(events)
+        ]
+    return events
+
+
+def branches(events: Sequence[Mapping[str, Any]]) -> set[Any]:
+    """Return the branches that events trip, and None."""
+    return {event.get("branch") for event in events if event["kind"] == "branch_trip"} - {None}
+
+
+def one_drawn(
+    case: Case, trips: Sequence[str], start_s: float, random: np.random.Generator
+) -> list[dict[str, Any]]:
+    """Return a fault, a fault and a trip of a branch that ends there, a trip, a pulse or a step."""
+    bare = [b.number for b in case.buses if b.number not in {m.bus for m in case.machines}]
+    kinds = [
+        "bus_fault",
+        "pm_step",
+        "load_step",
+        "pulse",
+        *(["fault_and_trip", "branch_trip"] if trips else []),
+    ]
+    kind = str(random.choice(kinds))
+    cleared_s = round(start_s + random.uniform(2.0, 9.0) / case.frequency_hz, 3)
+    machine = case.machines[random.integers(len(case.machines))]
+    if kind in ("bus_fault", "fault_and_trip", "branch_trip"):
+        branch = str(random.choice(trips)) if trips else ""
+        bus = int(random.choice(bare)) if kind == "bus_fault" else case.branch(branch).from_bus
+        fault = {"kind": "bus_fault", "bus": bus, "start_s": start_s, "end_s": cleared_s}
+        trip_s = start_s if kind == "branch_trip" else cleared_s
+        trip = {"kind": "branch_trip", "branch": branch, "start_s": trip_s}
+        return {"bus_fault": [fault], "branch_trip": [trip], "fault_and_trip": [fault, trip]}[kind]
+    if kind == "load_step":
+        load = case.loads[random.integers(len(case.loads))]
+        p, q = (float(random.uniform(-most, most)) for most in (1.0, 0.2))
+        return [{"kind": "load_step", "bus": load.bus, "p_pu": p, "q_pu": q, "start_s": start_s}]
+    size = float(random.choice((-1.0, 1.0)) * random.uniform(0.01, 0.1))
+    step = {"machine": machine.name, "size_pu": size, "start_s": start_s}
+    if kind == "pm_step":
+        return [{"kind": "pm_step", **step}]
+    pulse = "vref_pulse" if machine.exciter.kind != "constant" and random.uniform() < 0.5 else "pm_pulse"
+    return [{"kind": pulse, **step, "end_s": round(start_s + random.uniform(0.1, 0.5), 3)}]
 
 
 def spread(items: Sequence[Any], most: int) -> Sequence[Any]:
@@ -86,29 +149,51 @@ def disturbances(case: Case, signals: Sequence[str], trips: Sequence[str]) -> It
         yield {"kind": "branch_trip", "branch": branch, "start_s": 1.0}
 
 
-def genuine(controllers: list[str], design: Path, most: int) -> None:
-    """Print how many disturbances with right signals made the detector isolate one."""
+def chosen_runs(
+    case: Case, signals: Sequence[str], trips: Sequence[str], most: int
+) -> Iterator[tuple[str, Case, list[list[dict[str, Any]]]]]:
+    """Yield points with the disturbances there, `most` of all; signals : speeds that are compared."""
+    events = list(disturbances(case, signals, trips))
+    for k, (point, there) in enumerate(points(case)):
+        chosen = events[k::3] if 3 * len(events) > most else events  # no disturbance twice, then
+        yield point, there, [[event] for event in spread(chosen, -(-most // 3))]
+
+
+def drawn_runs(
+    case: Case, trips: Sequence[str], count: int, seed: int
+) -> Iterator[tuple[str, Case, list[list[dict[str, Any]]]]]:
+    """Yield points with random disturbances there, `count` of all."""
+    random = np.random.default_rng(seed)
+    for point, there in drawn_points(case, random):
+        for part in range(0, count // POINTS, BESIDE):
+            size = min(BESIDE, count // POINTS - part)
+            yield point, there, [drawn(there, trips, random) for _ in range(size)]
+
+
+def genuine(controllers: list[str], design: Path, most: int, count: int, seed: int) -> None:
+    """Print how many disturbances with right signals made the detector isolate one.
+
+    count : random ones with that seed; 0: at most `most` of the listed ones.
+    """
     compared = load_detector(design).signals
     print("| controller | runs | that keep synchronism | of these with an isolation |")
     print("|---|---|---|---|")
     for name in controllers:
         controller, table = judged_and_design(name, None, None)
         places = () if table.acceptance is None else table.acceptance.fault
-        trips = dict.fromkeys(place.trip for place in places if place.trip is not None)
+        trips = list(dict.fromkeys(place.trip for place in places if place.trip is not None))
         latency_s_of = signals_of(table.grid, controller, compared).all
-        events = list(disturbances(table.grid, compared, list(trips)))
+        every = (
+            drawn_runs(table.grid, trips, count, seed)
+            if count
+            else chosen_runs(table.grid, compared, trips, most)
+        )
         number, kept, alarms = 0, 0, []
-        for k, (point, case) in enumerate(points(table.grid)):
-            chosen = events[k::3] if 3 * len(events) > most else events  # no disturbance twice, then
+        for point, case, disturbed in every:
+            detector = {"file": str(design.absolute())}
             runs = [
-                WrongRun(
-                    table.grid.name,
-                    controller,
-                    latency_s_of,
-                    [event],
-                    detector={"file": str(design.absolute())},
-                )
-                for event in spread(chosen, -(-most // 3))
+                WrongRun(table.grid.name, controller, latency_s_of, events, detector=detector)
+                for events in disturbed
             ]
             with FaultRuns(case, default_cache()) as there:
                 for run, (outcome, data) in zip(runs, there.judged(runs, [None] * len(runs)), strict=True):
@@ -117,7 +202,7 @@ def genuine(controllers: list[str], design: Path, most: int) -> None:
                     result = {s: int(data[f"detector.{s}_reason"].max()) for s in latency_s_of}
                     if outcome.synchronous and any(result.values()):
                         verdict = "" if outcome.verdict is None else outcome.verdict.name
-                        alarms.append(f"{run.events[0]} at {point}: {result}, {verdict}")
+                        alarms.append(f"{list(run.events)} at {point}: {result}, {verdict}")
         print(f"| `{name}` | {number} | {kept} | {len(alarms)} |", flush=True)
         for line in alarms:
             print(f"  {line}", flush=True)
@@ -234,6 +319,8 @@ if __name__ == "__main__":
     parser.add_argument("--design", type=Path, required=True, help="file of the detector's patterns")
     parser.add_argument("--ambient-hours", type=float, default=0.0, help="ambient noise in place of them")
     parser.add_argument("--most", type=int, default=1000, help="disturbances, evenly chosen (default 1000)")
+    parser.add_argument("--drawn", type=int, default=0, help="so many random disturbances instead")
+    parser.add_argument("--seed", type=int, default=1, help="of the random disturbances (default 1)")
     asked = parser.parse_args()
     if not asked.design.exists():
         first, of_first = judged_and_design(asked.controllers[0], None, None)
@@ -242,4 +329,4 @@ if __name__ == "__main__":
     if asked.ambient_hours:
         ambient(asked.controllers[0], asked.design, asked.ambient_hours)
     else:
-        genuine(asked.controllers, asked.design, asked.most)
+        genuine(asked.controllers, asked.design, asked.most, asked.drawn, asked.seed)
