@@ -25,23 +25,31 @@ int patterns_of(const Record *record, size_t signals, Patterns *patterns)
            && n_others == signals * (rows - patterns->samples) * patterns->size;
 }
 
+/* Adds the squares of x between two rows to `left`. */
+static double with_squares(const double *x, size_t from, size_t to, double left)
+{
+    for (size_t r = from; r < to; ++r) left += x[r] * x[r];
+    return left;
+}
+
+/* Adds the products with x between two rows to `sum`; column: of V, its first row that of `from`. */
+static double with_products(const double *column, size_t size, const double *x, size_t from, size_t to, double sum)
+{
+    for (size_t r = from; r < to; ++r, column += size) sum += *column * x[r];
+    return sum;
+}
+
 double pattern_left(const Patterns *patterns, const double *x, size_t i)
 {
     const size_t L = patterns->samples, rows = patterns->signals * L, size = patterns->size;
     const int whole = i >= patterns->signals;
+    const size_t end = whole ? rows : i * L, again = whole ? rows : end + L;   /* the rows of i are left out */
     const double *V = whole ? patterns->all : patterns->others + i * (rows - L) * size;
-    double left = 0.0;
+    double left = with_squares(x, again, rows, with_squares(x, 0, end, 0.0));
 
-    for (size_t r = 0; r < rows; ++r)
-        if (whole || r / L != i) left += x[r] * x[r];
     for (size_t k = 0; k < size; ++k) {
-        const double *column = V + k;
-        double sum = 0.0;
-        for (size_t r = 0; r < rows; ++r) {
-            if (!whole && r / L == i) continue;
-            sum += *column * x[r];
-            column += size;
-        }
+        const double before = with_products(V + k, size, x, 0, end, 0.0);
+        const double sum = with_products(V + end * size + k, size, x, again, rows, before);
         left -= sum * sum;
     }
     return sqrt(fmax(left, 0.0));
