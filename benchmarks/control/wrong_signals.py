@@ -32,10 +32,12 @@ from interarea.cosim.screen.detector_design import MOST_BUSES, design_detector
 from interarea.cosim.screen.wrong_runs import WrongRun, signals_of
 from interarea.design.controllers.detector_record import (
     FRAMES,
+    HELD,
     lasting,
     load_detector,
     scores_and_suspects,
     shares,
+    swings,
 )
 from interarea.fmu_build.write.cache import default_cache
 from interarea.models import detector_defaults as default
@@ -273,15 +275,6 @@ def ambient(controller: str, design: Path, hours: float) -> None:
         print(f"| {name} | {max(values):.3f} | {len(values)} | {rate:.1e} |")
 
 
-def swings(y: np.ndarray) -> np.ndarray:
-    """Return the spans of signals (signals, stamps) less the trend of the last 256 stamps, every 2 stamps."""
-    back = int(default.AVERAGE_S / INTERVAL_S)
-    held = np.lib.stride_tricks.sliding_window_view(y, 256, axis=1)[:, :: FRAMES // 2]
-    line = np.polynomial.polynomial.polyfit(np.arange(64.0), held[..., ::4].reshape(-1, 64).T, 1)
-    trend = line[1].reshape(held.shape[:2])[..., None] / 4.0 * np.arange(back)
-    return np.ptp(held[..., -back:] - trend, axis=2)
-
-
 def compared(y: np.ndarray, patterns: Any) -> dict[str, float]:
     """Return the largest of what each test compares over its limit, of signals (signals, stamps)."""
     span = int(default.AVERAGE_S / INTERVAL_S)
@@ -295,7 +288,8 @@ def compared(y: np.ndarray, patterns: Any) -> dict[str, float]:
         "lasting": float(lasting(score, suspect).max()) / patterns.lasting,
         "alone": float(shares(y, patterns.floor).max()) / patterns.alone,
     }
-    level = np.sort(swings(y), axis=0)[-2]
+    whole = -(-(HELD - span) * 2 // FRAMES)  # spans before the first with all stamps of its trend
+    level = np.sort(swings(y, FRAMES // 2)[:, whole:], axis=0)[-2]
     long = int(default.STANDING_S / INTERVAL_S) * 2 // FRAMES
     if len(level) >= long:  # the last part of a record may be shorter than what it stands for
         lasts = np.lib.stride_tricks.sliding_window_view(level, long)

@@ -27,7 +27,7 @@ FRAMES, SAMPLES = 4, 12  #: stamps a sample, samples a window
 LASTS = SAMPLES + 3
 _SCHEMA = 3
 _SPAN = round(AVERAGE_S / INTERVAL_S)  # stamps that a span is taken over
-_HELD, _OF_TREND = 256, 4  # stamps that the trend is taken of; DETECTOR_STAMPS, DETECTOR_TREND in C
+HELD, _OF_TREND = 256, 4  #: stamps that the trend is taken of; DETECTOR_STAMPS, DETECTOR_TREND in C
 _ALONE, _STEADY = _SPAN * 3 // 2, 0.6  # stamps that a signal swings alone for; STEADY of stamps.c
 
 
@@ -160,19 +160,29 @@ def shares(curves: Array, floor: float) -> Array:
     return np.where(own.min(axis=2) > _STEADY * own.max(axis=2), lasts.min(axis=2), 0.0)
 
 
-def swings(curves: Array) -> Array:
+def swings(curves: Array, every: int = 1) -> Array:
     """Return the span of each signal less its trend, of curves (signals, stamps), from the first span on.
 
     The trend is the line through every fourth of the last 256 stamps; none before three quarters of them.
+    every : stamps from one span to the next.
     """
-    result = []
-    for end in range(_SPAN, curves.shape[1] + 1):
-        held = curves[:, max(end - _HELD, 0) : end][:, ::-_OF_TREND]
-        at = np.arange(held.shape[1]) - 0.5 * (held.shape[1] - 1)
-        known = 4 * _OF_TREND * len(at) >= 3 * _HELD
-        trend = held @ at / (-_OF_TREND * (at @ at)) if known else np.zeros(len(curves))
-        result.append(np.ptp(curves[:, end - _SPAN : end] - np.outer(trend, np.arange(_SPAN)), axis=1))
-    return np.array(result).T
+    ends = np.arange(_SPAN, curves.shape[1] + 1, every)
+    early = [_spans(curves[:, None, :end])[:, 0] for end in ends[ends < HELD]]
+    result = np.array(early).reshape(len(early), len(curves)).T
+    late = ends[ends >= HELD]
+    if not len(late):
+        return result
+    held = np.lib.stride_tricks.sliding_window_view(curves, HELD, axis=1)[:, late[0] - HELD :: every]
+    return np.concatenate([result, _spans(held)], axis=1)
+
+
+def _spans(held: Array) -> Array:
+    """Return the spans of the last stamps of windows (signals, windows, at most HELD), less their trends."""
+    of_trend = held[..., ::-_OF_TREND]
+    at = np.arange(of_trend.shape[2]) - 0.5 * (of_trend.shape[2] - 1)
+    known = 4 * _OF_TREND * len(at) >= 3 * HELD
+    trend = of_trend @ at / (-_OF_TREND * (at @ at)) if known else np.zeros(held.shape[:2])
+    return np.asarray(np.ptp(held[..., -_SPAN:] - trend[..., None] * np.arange(_SPAN), axis=2))
 
 
 def _left(x: Array, V: Array) -> Array:
