@@ -122,6 +122,6 @@ def test_the_share_that_is_reported_is_that_of_the_runs_that_have_ended(
     reported: list[float] = []
     signals = [f"G{i}_dw" for i in range(1, 5)]
     design = design_detector("two-area-thesis", "robust", signals, progress=reported.append)
-    assert sum(ran) == design.made_of + design.judged_by == 130
+    assert sum(ran) == design.made_of + design.judged_by == 162
     assert max(ran) <= TOGETHER
     assert reported == pytest.approx(np.cumsum(ran) / sum(ran))
