@@ -18,7 +18,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from .files import remove_own_folders, sweep, temporary_root
 
@@ -28,6 +28,7 @@ _LOOK_S = 0.25  # between two looks at the parent: soon enough, and 4 looks a se
 
 _guarded: dict[subprocess.Popen[bytes], int] = {}  # with the thread that waits for it
 _interrupted: set[subprocess.Popen[bytes]] = set()
+_begun: list[Future[Any]] = []  # calls that have not ended
 _Given = TypeVar("_Given")
 _Made = TypeVar("_Made")
 
@@ -90,7 +91,8 @@ def side_by_side(call: Callable[[_Given], _Made], items: Iterable[_Given]) -> li
 def begun(call: Callable[[_Given], _Made], items: Iterable[_Given]) -> Iterator[list[Future[_Made]]]:
     """Call as `side_by_side` does while the body runs; after it no other call begins.
 
-    A body that fails or is interrupted ends the commands under way; after one that does not they go on.
+    A body that fails ends the commands under way, one that is interrupted all commands (`end_commands`).
+    After any other body they go on.
     """
     threads: set[int] = set()
 
@@ -102,17 +104,32 @@ def begun(call: Callable[[_Given], _Made], items: Iterable[_Given]) -> Iterator[
     try:
         for item in items:
             waiting.append(pool.submit(one, item))
+            _begun.append(waiting[-1])
         yield waiting
+    except Exception:
+        _end(waiting, lambda: [process for process, thread in list(_guarded.items()) if thread in threads])
+        raise
     except BaseException:
-        pool.shutdown(wait=False, cancel_futures=True)
-        while not all(one.done() for one in waiting):
-            for process in [process for process, thread in list(_guarded.items()) if thread in threads]:
-                _interrupted.add(process)
-                _kill(process)
-            time.sleep(_LOOK_S / 5)
+        end_commands()
         raise
     finally:
         pool.shutdown(wait=False, cancel_futures=True)
+        _begun[:] = [each for each in _begun if not each.done()]
+
+
+def end_commands() -> None:
+    """End all commands under way and every call that has begun; a program that stops does it last."""
+    _end(list(_begun), lambda: list(_guarded))
+
+
+def _end(calls: Sequence[Future[Any]], commands: Callable[[], list[subprocess.Popen[bytes]]]) -> None:
+    for one in calls:
+        one.cancel()
+    while not all(one.done() for one in calls):
+        for process in commands():
+            _interrupted.add(process)
+            _kill(process)
+        time.sleep(_LOOK_S / 5)
 
 
 def processor_s() -> float:

@@ -271,6 +271,8 @@ def main(stops: Sequence[int] = ()) -> None:
 
 
 def _stopped(stops: Sequence[int]) -> NoReturn:
+    if (processes := sys.modules.get("interarea.models.processes")) is not None:
+        processes.end_commands()  # Python waits for the threads that wait for them
     with suppress(OSError):  # a terminal that is gone
         print("interarea: stopped", file=sys.stderr)
     sys.exit(128 + stops[0] if stops else INTERRUPTED)
