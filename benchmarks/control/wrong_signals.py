@@ -316,6 +316,10 @@ if __name__ == "__main__":
     parser.add_argument("--drawn", type=int, default=0, help="so many random disturbances instead")
     parser.add_argument("--seed", type=int, default=1, help="of the random disturbances (default 1)")
     asked = parser.parse_args()
+    if asked.drawn % POINTS:
+        parser.error(
+            f"--drawn {asked.drawn}: must be a multiple of {POINTS}, as many at each operating point"
+        )
     if not asked.design.exists():
         first, of_first = judged_and_design(asked.controllers[0], None, None)
         signals = list(signals_of(of_first.grid, first).all)
