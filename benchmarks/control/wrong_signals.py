@@ -10,6 +10,7 @@ buses without machines, pulses and steps of machines, steps of the largest loads
 design; on a grid with a tie at three flows of it, else at three loads. None of these points is in a design.
 --drawn: so many random ones instead, at POINTS random points: faults of 2 to 9 cycles with or without a trip,
 steps, pulses, trips, in a third of the runs a second event 1 to 4 s later, at any of 20 phases of a sample.
+They begin after 6 s, when the detector has all the frames that it compares.
 Ambient noise: the linear loop, driven by independent random torques at each machine that give 3 mHz rms
 between G2 and G4, and 1 mHz of each PMU, in many records side by side; every test that compares signals.
 What wrong signals do: `interarea certify NAME --wrong-signals`.
@@ -29,7 +30,7 @@ import interarea as ia
 from interarea.cosim.designs.fault_runs import FaultRuns
 from interarea.cosim.run.artefacts import plant_for_controllers
 from interarea.cosim.screen.detector_design import MOST_BUSES, design_detector
-from interarea.cosim.screen.wrong_runs import WrongRun, signals_of
+from interarea.cosim.screen.wrong_runs import STOP_S, WrongRun, signals_of
 from interarea.design.controllers.detector_record import (
     FRAMES,
     HELD,
@@ -52,6 +53,7 @@ RATED_HZ = 60.0
 SWING_HZ, PMU_HZ = 3e-3, 1e-3  # rms between G2 and G4; of each frame
 RECORDS, PART = 400, 5000  # side by side; stamps kept at once
 POINTS, BESIDE = 10, 100  # random operating points; runs kept at once
+DRAWN_S = 6.0  # when a random disturbance begins: the detector's memory, 5.1 s, is full, as it is in service
 TESTS = ("pattern", "lasting", "apart", "alone", "rough", "standing", "growing")
 
 
@@ -77,7 +79,7 @@ def drawn_points(case: Case, random: np.random.Generator) -> Iterator[tuple[str,
 
 def drawn(case: Case, trips: Sequence[str], random: np.random.Generator) -> list[dict[str, Any]]:
     """Return one random disturbance: an event and what follows from it or comes later."""
-    events = one_drawn(case, trips, round(1.0 + random.uniform(0.0, INTERVAL_S), 3), random)
+    events = one_drawn(case, trips, round(DRAWN_S + random.uniform(0.0, INTERVAL_S), 3), random)
     if random.uniform() < 1.0 / 3.0:
         later = round(events[0]["start_s"] + random.uniform(1.0, 4.0), 3)
         events += [
@@ -191,10 +193,11 @@ def genuine(controllers: list[str], design: Path, most: int, count: int, seed: i
             else chosen_runs(table.grid, compared, trips, most)
         )
         number, kept, alarms = 0, 0, []
+        stop_s = STOP_S + (DRAWN_S if count else 0.0)
         for point, case, disturbed in every:
             detector = {"file": str(design.absolute())}
             runs = [
-                WrongRun(table.grid.name, controller, latency_s_of, events, detector=detector)
+                WrongRun(table.grid.name, controller, latency_s_of, events, detector=detector, stop_s=stop_s)
                 for events in disturbed
             ]
             with FaultRuns(case, default_cache()) as there:

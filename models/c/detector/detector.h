@@ -51,9 +51,15 @@
  * swings of the signals that are present and pass (of two or more; one of them may be the wrong one),
  *
  *     standing  level > standing for standing_time, its least value above STEADY of its largest; or
- *               level(t) > GROWS level(t - average) GROWTHS times in a row, from where it exceeds standing
+ *               level(t) > RISES level(t - average / 2) at GROWTHS halves of an average in a row, from where it
+ *               exceeds standing, and level(t) > GROWS level(t - average) at all of them but the first.
  *
- * takes all signals out at once, as if each were isolated: the grid is left to its own damping. They come back when
+ * The halves are counted anew after each disturbance: a stamp at which two trusted signals or more bend by more than
+ * `moving` and SHARP times the mean of the last bends of each. A fault, a trip or a step of a load changes the torques of
+ * all machines at once, but an unstable loop turns the slope of a speed gradually, and a wrong signal bends alone. Noise
+ * hides a small disturbance; the swing after it stands or falls in one of the halves.
+ *
+ * It takes all signals out at once, as if each were isolated: the grid is left to its own damping. They come back when
  * return 2^(n-1) has passed, n the number of such stops, or as soon as the swings of all signals but one have risen to
  * WORSE of what they were two averages after the stop, which is a disturbance itself: then the controller was not the
  * cause, and it is not stopped again before that time.
@@ -90,10 +96,11 @@ enum {
 /* Discrete state: a head, then of each signal DM_COUNT numbers. */
 /* M_SINCE: stamps since which level is above `standing`, M_LEAST and M_MOST its range from there; M_STOPPED: time
  * from which all signals are out or NEVER, M_STOPS how often so far, M_UNTIL the time that ends the last. M_COMPARED,
- * M_LEVEL: stamp and level of the last comparison for growth, M_GROWN how many in a row have found it. */
+ * M_LEVEL: stamp and level of the last comparison for growth, M_BEFORE the level of the one before, M_GROWN how many in
+ * a row have found it; M_DISTURBED: stamps up to the last disturbance. */
 enum {
-    M_STAMP, M_STAMPS, M_ALARMS, M_SINCE, M_LEAST, M_MOST, M_STOPPED, M_STOPS, M_UNTIL, M_COMPARED, M_LEVEL, M_GROWN,
-    M_SIGNALS
+    M_STAMP, M_STAMPS, M_ALARMS, M_SINCE, M_LEAST, M_MOST, M_STOPPED, M_STOPS, M_UNTIL, M_COMPARED, M_LEVEL, M_BEFORE,
+    M_GROWN, M_DISTURBED, M_SIGNALS
 };
 enum {
     DM_ISOLATED, DM_REASON, DM_FAILED_AT, DM_FAILURES, DM_REPEATS, DM_MOVES, DM_FRAMES, DM_MEAN, DM_SPAN, DM_BEND,

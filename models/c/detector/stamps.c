@@ -4,9 +4,13 @@
  * a signal alone in 1.5 `average`: at 1.2 Hz and 3 s a damping of 2.3 %. */
 static const double STEADY = 0.6;
 static const double WORSE = 1.5; /* rise of the swing after a stop that beats and noise do not make */
-/* Rise of the second largest swing in each of so many averages in a row, at 1.2 Hz and 2 s a damping of -5 %. After
- * one disturbance it rises in the first of them only. */
-static const double GROWS = 2.0, GROWTHS = 2.0;
+/* Rise of the second largest swing in an average, at 1.2 Hz and 2 s a damping of -5 %, least rise in each half of it,
+ * and how many halves in a row. Of an exponential a half has 1.41, but a swing of .5 Hz rises unevenly. After a
+ * disturbance the swing stands or falls in one of them. */
+static const double GROWS = 2.0, RISES = 1.3, GROWTHS = 4.0;
+/* A bend so many times the mean of those before it. A swing of .2 Hz or more that grows by e a second at most has 3.2
+ * times the mean, noise has more than SHARP times it at one stamp in 15000. */
+static const double SHARP = 5.0;
 
 /* Rise from stamp to stamp of the line that least squares lay through every TREND-th of the stamps in memory; 0 where
  * more than a quarter of them lacks a value. */
@@ -128,6 +132,19 @@ void compare_bends(Block *b, double t)
     }
 }
 
+/* Notes a disturbance at the newest stamp, whose number is `newest`: two signals or more bend sharply there. */
+void note_disturbance(Block *b, size_t newest)
+{
+    size_t sharp = 0;
+
+    if (newest < 2) return;
+    for (size_t i = 0; i < count_of(b); ++i) {
+        const double *m = memory_of(b, i);
+        sharp += trusted(b, i) && bend(m, newest, 0) > b->p[P_MOVING] + SHARP * m[DM_BEND];
+    }
+    if (sharp > 1) b->memory[M_DISTURBED] = (double)newest + 1.0;
+}
+
 /* Starts to watch at the newest stamp whether a signal swings alone. */
 static void alone_from(double *m, double stamps)
 {
@@ -195,15 +212,18 @@ static void watch_from(double *m, double level)
     m[M_LEAST] = m[M_MOST] = level;
 }
 
-/* Counts the averages in a row in which the level has grown, from the stamp where it exceeds `standing`. */
+/* Counts the halves of an average in a row in which the level has grown, from the stamp where it exceeds `standing`
+ * and from the last disturbance on. */
 static void watch_growth(Block *b, double level, int waits)
 {
     double *m = b->memory;
-    const int small = waits || !(level > b->p[P_STANDING]);
+    const int small = waits || !(level > b->p[P_STANDING]), disturbed = m[M_DISTURBED] > m[M_COMPARED];
 
-    if (!small && (m[M_STAMPS] - m[M_COMPARED]) * b->p[P_INTERVAL] < b->p[P_AVERAGE] - SLACK) return;
-    m[M_GROWN] = !small && level > GROWS * m[M_LEVEL] ? m[M_GROWN] + 1.0 : 0.0;
+    if (!small && !disturbed && 2.0 * (m[M_STAMPS] - m[M_COMPARED]) * b->p[P_INTERVAL] < b->p[P_AVERAGE] - SLACK) return;
+    if (small || disturbed || !(level > RISES * m[M_LEVEL])) m[M_GROWN] = 0.0;
+    else m[M_GROWN] = m[M_GROWN] == 0.0 || level > GROWS * m[M_BEFORE] ? m[M_GROWN] + 1.0 : 1.0;
     m[M_COMPARED] = m[M_STAMPS];
+    m[M_BEFORE] = m[M_LEVEL];
     m[M_LEVEL] = level;
 }
 

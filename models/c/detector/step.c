@@ -246,7 +246,7 @@ static void compare(Block *b, double t)
     if (reached < m[M_STAMP]) return; /* no new stamp */
     if (reached - m[M_STAMP] >= (double)DETECTOR_FRAMES) { /* after a pause of all of them */
         m[M_STAMP] = reached;
-        m[M_STAMPS] = m[M_SINCE] = m[M_COMPARED] = m[M_GROWN] = 0.0;
+        m[M_STAMPS] = m[M_SINCE] = m[M_COMPARED] = m[M_GROWN] = m[M_DISTURBED] = 0.0;
         for (size_t i = 0; i < count_of(b); ++i) memory_of(b, i)[DM_ALONE] = 0.0;
     }
     (void)patterns_of(b->record, count_of(b), &patterns);
@@ -256,6 +256,7 @@ static void compare(Block *b, double t)
             own[DM_ALIGNED + (size_t)m[M_STAMPS] % DETECTOR_STAMPS] =
                 present(b, i, t) ? value_at(b, own, m[M_STAMP] * interval) : NAN;
         }
+        note_disturbance(b, (size_t)m[M_STAMPS]);
         if (patterns.frames > 0 && fmod(m[M_STAMP] + 1.0, (double)patterns.frames) == 0.0)
             compare_patterns(b, &patterns, t);
     }

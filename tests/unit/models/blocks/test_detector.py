@@ -285,6 +285,43 @@ def test_a_second_larger_disturbance_does_not(detector: Path) -> None:
     assert follow(detector, twice, 14.0) == {s: [] for s in SIGNALS}
 
 
+def disturbed_twice(first_s: float, noise_pu: float, rise: Callable[[float], float]) -> dict[str, Sent]:
+    """All swing from 6 s on, when the memory is full, and more from `first_s` later on, by `rise`."""
+    random = np.random.default_rng(4)
+
+    def sent(s: float, v: float, side: float) -> float:
+        since, later = max(s - 6.0, 0.0), max(s - 6.0 - first_s, 0.0)
+        swing = 4.5e-4 * math.sin(math.pi * since) * math.exp(-0.1 * since)
+        swing += rise(later) * math.sin(math.pi * later)
+        return side * swing + noise_pu * random.standard_normal()
+
+    sides = zip(SIGNALS, (1.0, 1.0, -0.8, -0.8), strict=True)
+    return {name: lambda s, v, side=side: sent(s, v, side) for name, side in sides}  # type: ignore[misc]
+
+
+@pytest.mark.parametrize("first_s", [1.0, 1.5, 2.0, 2.5, 3.0, 3.5])
+@pytest.mark.parametrize("noise_pu", [0.0, 1e-3 / 60.0])
+def test_two_disturbances_in_a_row_do_not(detector: Path, first_s: float, noise_pu: float) -> None:
+    """A small one, then one twice to eight times as large: each doubles the swing once."""
+    for size in (6e-4, 1.2e-3, 2.4e-3):
+        sent = disturbed_twice(first_s, noise_pu, lambda _, size=size: size)  # type: ignore[misc]
+        assert follow(detector, sent, 6.0 + first_s + 6.0) == {s: [] for s in SIGNALS}
+
+
+def test_growth_counts_from_a_disturbance_on(detector: Path) -> None:
+    """A beat rises to 2.9 times itself in 2 s: growth, but for the sharp bend of the disturbance before it."""
+
+    def beat(since: float) -> float:
+        return 1.2e-3 * (1.0 + 0.95 * since if since < 2.0 else 2.9) if since > 0.0 else 0.0
+
+    disturbed = disturbed_twice(1.2, 0.0, beat)
+    assert follow(detector, disturbed, 13.0) == {s: [] for s in SIGNALS}
+    smooth = swing_of_all(lambda s: 0.15 * math.exp(0.4 * (s - 1.0)))
+    alone = {**smooth, "a": lambda s, v: smooth["a"](s, v) + 1e-3 * (abs(s - 4.0) < 1e-9)}
+    late = [follow(detector, sent, 7.0)["d"][0][0] for sent in (smooth, alone)]
+    assert late[0] == late[1]  # one signal alone that bends sharply is no disturbance
+
+
 def test_signals_come_back_at_once_when_the_swing_grows_without_them(detector: Path) -> None:
     """Not by what the stop itself brings, in two averages after it; once, then not for 60 s."""
     grows = swing_of_all(lambda s: 1.0 if s < 12.5 else 1.8 if s < 20.0 else 3.6)
