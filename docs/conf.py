@@ -11,8 +11,8 @@ from jupyter_client.manager import KernelManager
 
 import interarea
 
-HERE = Path(__file__).resolve().parent
-sys.path.insert(0, str(HERE / "site"))  # commands, catalogue
+FOLDER = Path(__file__).resolve().parent
+sys.path.insert(0, str(FOLDER / "site"))  # commands, catalogue
 # cells call `interarea` as a reader does, wherever the environment is
 os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
 for pool in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):

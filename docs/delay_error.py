@@ -46,7 +46,7 @@ INPUTS = {
     "hermite": "cubic Hermite",
 }
 _PANEL_S, _POINTS = 0.0025, 14
-_HERE = Path(__file__).resolve().parent
+FOLDER = Path(__file__).resolve().parent
 
 
 @dataclass(frozen=True)
@@ -205,7 +205,7 @@ def figure_of(measured: dict[bool, dict[str, list[float]]]) -> Figure:
 def main() -> None:
     """Measure, draw and write."""
     measured = {s: errors(two_lags(), s) for s in (True, False)}
-    save_figure(figure_of(measured), _HERE / "delay-error.svg")
+    save_figure(figure_of(measured), FOLDER / "delay-error.svg")
     case, designed = load_case(CASE), {}
     for name in ("wdc", "cc", "ftc"):
         controller = design_controller(case, name, default_cache())
@@ -215,7 +215,7 @@ def main() -> None:
         "non-synchronous": table(measured[False]),
         "designed": table(designed, "controller"),
     }
-    page = _HERE / "delay_error.md"
+    page = FOLDER / "delay_error.md"
     text = page.read_text(encoding="utf-8")
     for name, rows in tables.items():
         start, end = f"<!-- {name} -->", f"<!-- end {name} -->"

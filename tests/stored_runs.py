@@ -61,11 +61,11 @@ def finished(folder: Path) -> None:
     rows = read_rows(folder)
     assert list(rows.run) == list(range(RUNS))
     for run in range(RUNS):
-        wanted = outcome(run)
-        for key, value in wanted.row.items():
+        expected = outcome(run)
+        for key, value in expected.row.items():
             assert rows[key][run] == value or (value is None and rows[key].isna()[run])
         curve = read_trajectory(folder, run)
-        assert (curve is None) == (wanted.trajectory is None)
+        assert (curve is None) == (expected.trajectory is None)
         assert curve is None or list(curve.x) == [run / 3.0] * 3
     assert summary_of(folder)["failed"] == RUNS // 4
     assert (

@@ -12,7 +12,7 @@ from fmpy.fmi2 import FMU2Slave
 from interarea.fmu_build.write.compile import compile_library, host_platform
 from interarea.fmu_build.write.sources import gather_sources
 
-HERE = Path(__file__).resolve().parent
+FOLDER = Path(__file__).resolve().parent
 H = 0.01
 GUID = "{3b1f1c52-5f0c-4a58-9d66-0f3a3a6a7f01}"
 _DESCRIPTION = f"""<?xml version="1.0" encoding="UTF-8"?>
@@ -40,7 +40,7 @@ _DESCRIPTION = f"""<?xml version="1.0" encoding="UTF-8"?>
 
 def trivial_fmu(path: Path) -> Path:
     """Write the trivial FMU to `path` (compiled with the flags of every FMU here)."""
-    binary = compile_library("trivial", gather_sources((HERE / "trivial.c",)), host_platform())
+    binary = compile_library("trivial", gather_sources((FOLDER / "trivial.c",)), host_platform())
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("modelDescription.xml", _DESCRIPTION)
         archive.write(binary, f"binaries/{host_platform()}/trivial{binary.suffix}")
@@ -49,7 +49,7 @@ def trivial_fmu(path: Path) -> Path:
 
 def loop_library() -> ctypes.CDLL:
     """Return the plain C loop, compiled."""
-    path = compile_library("chainloop", gather_sources((HERE / "loop.c",)), host_platform())
+    path = compile_library("chainloop", gather_sources((FOLDER / "loop.c",)), host_platform())
     return ctypes.CDLL(str(path))
 
 

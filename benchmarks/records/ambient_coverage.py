@@ -118,14 +118,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("cases", nargs="*", default=["kundur-manual", "two-area-thesis", "nets-nyps"])
     parser.add_argument("--seeds", type=int, default=500)
     parser.add_argument("--minutes", type=float, default=10.0)
-    wanted = parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
     print(
         "| case, mode | damping ratio | subspace: records, bias, deviation, share | Yule-Walker: the same |"
     )
     print("|---|---|---|---|")
     with threadpool_limits(1):
-        for case in wanted.cases:
-            for line in rows_of(case, wanted.seeds, wanted.minutes, (0.03, 0.12)):
+        for case in options.cases:
+            for line in rows_of(case, options.seeds, options.minutes, (0.03, 0.12)):
                 print(line, flush=True)
 
 

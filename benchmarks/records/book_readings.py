@@ -29,8 +29,8 @@ from interarea.design.modes.modes import modes_of
 from interarea.fmu_build.write.cache import default_cache
 from interarea.models.case.case import Case, load_case
 
-HERE = Path(__file__).resolve().parent
-PRINTED = HERE.parents[1] / "tests" / "published" / "swing_kundur.toml"
+FOLDER = Path(__file__).resolve().parent
+PRINTED = FOLDER.parents[1] / "tests" / "published" / "swing_kundur.toml"
 NAMES = ("inter-area", "local area 1", "local area 2")
 #: half units of the last digit of (real, imaginary) part in the printed rows
 HALF = (5e-4, 5e-3)
@@ -39,7 +39,7 @@ RECORDED = 1.01e-4  #: 1/s, two units of the last digit written in the file
 
 def readings() -> Iterator[tuple[str, str, dict[str, Any], tuple[complex, ...], bool]]:
     """Yield (case, what, change, recorded modes, whether all digits are said to be reached)."""
-    for row in tomllib.loads((HERE / "book_readings.toml").read_text(encoding="utf-8"))["case"]:
+    for row in tomllib.loads((FOLDER / "book_readings.toml").read_text(encoding="utf-8"))["case"]:
         first = {"what": "as the case stands", "gives": row["gives"]}
         for reading in [first, *row["reading"]]:
             modes = tuple(map(complex, reading["gives"]))

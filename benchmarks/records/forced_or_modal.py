@@ -122,10 +122,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--records", type=int, default=300)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--least-damped", type=int, metavar="COUNT")
-    wanted = parser.parse_args(arguments)
-    if wanted.least_damped:
+    options = parser.parse_args(arguments)
+    if options.least_damped:
         with threadpool_limits(1):
-            ratios = of_least_damped(wanted.least_damped, np.random.default_rng(wanted.seed))
+            ratios = of_least_damped(options.least_damped, np.random.default_rng(options.seed))
         below = ", ".join(f"{x:.1f}" for x in np.quantile(ratios, [0.5, 0.9, 0.99, 0.995]))
         above = " and ".join(
             f"{100.0 * np.mean(np.array(ratios) >= x):.1f} % at least {x:g}" for x in _LIMITS[0][1:]
@@ -133,7 +133,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         print(f"2 log(L forced / L modal): 50, 90, 99, 99.5 % are below {below}; {above}")
         return
     with threadpool_limits(1):
-        rows = [(case, *counts_of(case, wanted.records, wanted.seed)) for case in wanted.cases]
+        rows = [(case, *counts_of(case, options.records, options.seed)) for case in options.cases]
     print("| case | with a sine | forced | undecided | with a mode | forced | undecided | neither | forced |")
     print("|---|---|---|---|---|---|---|---|---|")
     for case, *counts in rows:

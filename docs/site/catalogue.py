@@ -29,8 +29,8 @@ from interarea.models.blocks.variables import Block
 from interarea.models.devices.document import diagram_text, range_text
 from interarea.models.devices.library import library
 
-HERE = Path(__file__).resolve().parent
-GENERATED = HERE.parent / "generated"
+FOLDER = Path(__file__).resolve().parent
+GENERATED = FOLDER.parent / "generated"
 _KINDS = {
     "grids": "Grids",
     "synthesis": "Controllers",
@@ -200,8 +200,8 @@ def _write_all(*_: object) -> None:
             "written": written_page(),
         }
     )
-    (HERE / "static").mkdir(exist_ok=True)
-    write_explorer("wide-area-damping", HERE / "static" / "explorer.html", cache=default_cache())
+    (FOLDER / "static").mkdir(exist_ok=True)
+    write_explorer("wide-area-damping", FOLDER / "static" / "explorer.html", cache=default_cache())
 
 
 def setup(app: object) -> dict[str, bool]:

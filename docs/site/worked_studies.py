@@ -125,8 +125,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("grids", nargs="*", default=GRIDS, help=f"default: {' '.join(GRIDS)}")
     parser.add_argument("--out", type=Path, required=True, help="folder of studies; those there are kept")
     parser.add_argument("--minutes", type=float, default=20.0, help="of each study")
-    wanted = parser.parse_args(arguments)
-    studies = {grid: run_study(grid, wanted.minutes, wanted.out / grid) for grid in wanted.grids}
+    options = parser.parse_args(arguments)
+    studies = {grid: run_study(grid, options.minutes, options.out / grid) for grid in options.grids}
     text = PAGE.read_text(encoding="utf-8")
     PAGE.write_text(_TABLE.sub(lambda part: tables(studies, part[0]), text), encoding="utf-8")
 

@@ -69,8 +69,8 @@ def test_archive_has_what_a_receiver_needs(fmu: Path) -> None:
     with zipfile.ZipFile(fmu) as archive:
         names = archive.namelist()
         assert names[0] == "modelDescription.xml"
-        for wanted in ("resources/model.bin", "documentation/index.html", "model.png"):
-            assert wanted in names
+        for expected in ("resources/model.bin", "documentation/index.html", "model.png"):
+            assert expected in names
         assert "documentation/licenses/license.txt" in names
         assert all("\\" not in n and not n.startswith("/") and ".." not in n for n in names)
         assert archive.read("model.png").startswith(b"\x89PNG\r\n\x1a\n")
@@ -97,10 +97,10 @@ def test_start_values_are_the_binarys_own(fmu: Path) -> None:
             if v.start is None:
                 continue
             got = run.get(v.name)
-            wanted = {"true": 1.0, "false": 0.0}.get(v.start)
-            wanted = float(v.start) if wanted is None else wanted
+            expected = {"true": 1.0, "false": 0.0}.get(v.start)
+            expected = float(v.start) if expected is None else expected
             # A plant solves its equilibrium again from its parameters: equal to rounding.
-            assert np.isclose(got, wanted, rtol=1e-12, atol=1e-12), v.name
+            assert np.isclose(got, expected, rtol=1e-12, atol=1e-12), v.name
 
 
 @pytest.mark.slow

@@ -140,8 +140,8 @@ def test_pages_have_no_findings_of_accessibility(site: Path, tmp_path: Path) -> 
         browser.close()
     spoils = result.pop("spoilt.html")
     spoilt.unlink()
-    for wanted in (f"light: {COLOURS}", f"dark: {COLOURS}", "light: button-name", "390 px: button-name"):
-        assert any(wrong.startswith(wanted) for wrong in spoils), spoils
+    for expected in (f"light: {COLOURS}", f"dark: {COLOURS}", "light: button-name", "390 px: button-name"):
+        assert any(wrong.startswith(expected) for wrong in spoils), spoils
     assert {page: wrong for page, wrong in result.items() if wrong} == {}
 
 

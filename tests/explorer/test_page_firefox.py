@@ -47,8 +47,8 @@ class Firefox:
         with socket.socket() as free:
             free.bind(("127.0.0.1", 0))
             port = free.getsockname()[1]
-        wanted = {**PREFERENCES, "marionette.port": port}
-        lines = [f"user_pref({json.dumps(name)}, {json.dumps(value)});" for name, value in wanted.items()]
+        expected = {**PREFERENCES, "marionette.port": port}
+        lines = [f"user_pref({json.dumps(name)}, {json.dumps(value)});" for name, value in expected.items()]
         (profile / "user.js").write_text("\n".join(lines), encoding="utf-8")
         self.log = profile / "said.txt"
         command = [path, "--headless", "--marionette", "--no-remote", "--profile", str(profile)]

@@ -79,13 +79,13 @@ def test_both_give_the_same_verdict_by_the_same_spans(node: Any) -> None:
     ]
     seen: dict[str, int] = {}
     for k, (one, page) in enumerate(zip(runs, node(jobs), strict=True)):
-        wanted = by_python(one)
-        seen[wanted.name] = seen.get(wanted.name, 0) + 1
-        assert page["kind"] == wanted.name, (wanted, page)
-        assert page["window"] == pytest.approx(list(wanted.window_s))
-        if wanted.name != v.NOT_JUDGED and not page["atLimit"]:
-            spans = [wanted.largest, wanted.before, wanted.last]
-            assert page["spans"] == pytest.approx(spans, rel=1e-9, abs=1e-15), (k, wanted)
+        expected = by_python(one)
+        seen[expected.name] = seen.get(expected.name, 0) + 1
+        assert page["kind"] == expected.name, (expected, page)
+        assert page["window"] == pytest.approx(list(expected.window_s))
+        if expected.name != v.NOT_JUDGED and not page["atLimit"]:
+            spans = [expected.largest, expected.before, expected.last]
+            assert page["spans"] == pytest.approx(spans, rel=1e-9, abs=1e-15), (k, expected)
     assert set(seen) == {v.SETTLED, v.SLOW, v.STANDING, v.GROWING, v.NOT_JUDGED} and min(seen.values()) > 5
 
 

@@ -20,7 +20,7 @@ from interarea.fmu_build.write.description_xml import render
 from interarea.fmu_build.write.sources import gather_sources, record_source, source_files
 from interarea.models.blocks.variables import Block
 
-HERE = Path(__file__).resolve().parent
+FOLDER = Path(__file__).resolve().parent
 _PROGRAM = "#include <stdlib.h>\nint main(void) { int *p = malloc(4); *p = 1; free(p); return 0; }\n"
 _BOTH = (
     "-fsanitize=address,undefined,float-cast-overflow",
@@ -152,7 +152,7 @@ def build_driver(
     for name, content in files.items():
         (folder / name).write_bytes(content)
     for name in (*sources, "fuzz.h"):
-        shutil.copy(HERE / name, folder / name)
+        shutil.copy(FOLDER / name, folder / name)
     c_files = sorted({n for n in files if n.endswith(".c")} | set(sources))
     level = "-O1" if optimised else "-O0"
     objects = [str(_object(name, folder, compiler, level)) for name in c_files]

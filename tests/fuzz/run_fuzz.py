@@ -13,8 +13,8 @@ import tempfile
 import time
 from pathlib import Path
 
-HERE = Path(__file__).resolve().parent
-sys.path.extend([str(HERE), str(HERE.parent)])
+FOLDER = Path(__file__).resolve().parent
+sys.path.extend([str(FOLDER), str(FOLDER.parent)])
 
 from fuzz_blocks import fuzz_block  # noqa: E402
 from fuzz_build import build_driver, sanitizing_compiler  # noqa: E402

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 from fmu_blocks import blocks
-from fuzz_build import HERE, sanitizing_compiler
+from fuzz_build import FOLDER, sanitizing_compiler
 
 from interarea.fmu_build.write.real_code import Chain, completed, dll_sources, entries_of
 from interarea.models.blocks.binary_table import pack_record
@@ -44,7 +44,7 @@ def test_random_calls_find_nothing(kind: str, tmp_path: Path) -> None:
     sources = dll_sources(chain_sources() if isinstance(block, Chain) else block.sources, len(record))
     for name, content in sources.items():
         (tmp_path / name).write_bytes(content)
-    shutil.copy(HERE / "fuzz_dll.c", tmp_path)
+    shutil.copy(FOLDER / "fuzz_dll.c", tmp_path)
     own = [name for name in sources if name.endswith(".c")]
     command = [*compiler.command, "-std=gnu99", "-g", "-O1", "-ffp-contract=off", "-w", *compiler.flags]
     for words in (

@@ -15,8 +15,8 @@ from command_line import invoke
 
 import interarea as ia
 
-HERE = Path(__file__).parent
-SOURCES = {p.stem: tomllib.loads(p.read_text(encoding="utf-8")) for p in sorted(HERE.glob("*.toml"))}
+FOLDER = Path(__file__).parent
+SOURCES = {p.stem: tomllib.loads(p.read_text(encoding="utf-8")) for p in sorted(FOLDER.glob("*.toml"))}
 MISTAKES = [(source, row) for source, table in SOURCES.items() for row in table["mistake"]]
 #: source -> the command that meets its file
 COMMANDS = {

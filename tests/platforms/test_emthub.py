@@ -191,13 +191,13 @@ def test_their_test_program_runs_our_dll(name: str, tmp_path: Path, cache: Path)
     rows = np.genfromtxt(tmp_path / "scrx9.csv", delimiter=",", names=True)
     linux = build_dll(block, tmp_path, platform="linux64", sample_time_s=0.005, cache=cache)
     model = RealCode(RealCodeLibrary(linux))
-    wanted = []
+    expected = []
     for k, row in enumerate(rows):
         for port in INPUTS:
             model.inputs[port] = float(row[port])
         if k == 0:
             assert model.call("Model_Initialize", 0.0) < ERROR
         assert model.call("Model_Outputs", k * 0.005) < ERROR
-        wanted.append(model.outputs["EFD"])
+        expected.append(model.outputs["EFD"])
     assert len(rows) > 1900 and np.ptp(rows["EFD"]) > 0.01
-    assert np.abs(rows["EFD"] - wanted).max() < 1e-5 * np.abs(wanted).max()  # the file has six digits
+    assert np.abs(rows["EFD"] - expected).max() < 1e-5 * np.abs(expected).max()  # the file has six digits

@@ -87,10 +87,10 @@ def test_the_wheel_holds_every_file_of_the_package(wheel: Path, tracked: list[st
     with zipfile.ZipFile(wheel) as archive:
         packed = set(archive.namelist())
     floors = ("models", "fmu_build", "design", "cosim", "interarea")
-    wanted = [
+    expected = [
         n if n.startswith("interarea/") else f"interarea/{n}" for n in tracked if n.split("/")[0] in floors
     ]
-    assert len(wanted) > 400 and not set(wanted) - packed
+    assert len(expected) > 400 and not set(expected) - packed
     binaries = {n for n in packed if n.startswith("interarea/fmu_build/binaries/")}
     kinds = {n.rsplit("/", 1)[1].partition(f"-{host_platform()}-")[0] for n in binaries if "wasm32" not in n}
     assert kinds >= {

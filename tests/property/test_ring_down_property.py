@@ -75,10 +75,10 @@ def test_the_poles_do_not_depend_on_order_and_units_of_the_signals(
     values = speeds(swing)
     one = m.ring_down(T, values, rank_tolerance=1e-9)
     other = m.ring_down(T, (values * units)[:, order], rank_tolerance=1e-9)
-    wanted = sorted((f, z) for z, f, _, _ in swing.values())
+    expected = sorted((f, z) for z, f, _, _ in swing.values())
     for fit in (one, other):
         np.testing.assert_allclose(
-            sorted((x.frequency_hz, x.damping_ratio) for x in fit.modes[:3]), wanted, rtol=1e-5, atol=1e-6
+            sorted((x.frequency_hz, x.damping_ratio) for x in fit.modes[:3]), expected, rtol=1e-5, atol=1e-6
         )
     assert one.error < 1e-7 and other.error < 1e-7
 

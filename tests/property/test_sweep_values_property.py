@@ -173,12 +173,12 @@ def test_a_range_holds_the_decimal_numbers_that_its_words_mean(table: dict[str, 
     start, stop = Fraction(str(table["start"])), Fraction(str(table["stop"]))
     if "step" in table:
         step = Fraction(str(table["step"]))
-        wanted = [float(start + k * step) for k in range((stop - start) // step + 1)]
+        expected = [float(start + k * step) for k in range((stop - start) // step + 1)]
         assert abs(start + r.size * step - start) > abs(stop - start)  # one more would lie beyond
     else:
         n = table["count"]
-        wanted = [float(start + (stop - start) * k / max(1, n - 1)) for k in range(n)]
-    assert [r.value(k) for k in range(r.size)] == wanted
+        expected = [float(start + (stop - start) * k / max(1, n - 1)) for k in range(n)]
+    assert [r.value(k) for k in range(r.size)] == expected
 
 
 @settings(max_examples=60)

@@ -62,9 +62,9 @@ def test_every_instant_is_a_communication_point_and_time_only_grows(
     ends = {s.end for s in result}
     inside = [start + m for m in marks if m < length]
     late = [m + d for m in inside for d in latencies if m + d < stop]
-    wanted = {*inside, *late, *range(start + step, stop, step)}
-    assert wanted | {start + p for p in points if p < length} <= ends
-    assert {s.end for s in result if s.recorded} == {*wanted, stop}
+    expected = {*inside, *late, *range(start + step, stop, step)}
+    assert expected | {start + p for p in points if p < length} <= ends
+    assert {s.end for s in result if s.recorded} == {*expected, stop}
     assert all(s.end - s.start == 1 for s in result if s.edge)
     if edges and not at_rest:  # what is moving at the start shows with a kink
         assert {start + d for d in latencies if 0 < d < length} <= ends

@@ -89,19 +89,19 @@ def test_swing_modes_of_kundur(modes, row):
     }
     for quantity, value in ours.items():
         if quantity in row:
-            wanted = printed.approx_printed(row[quantity], row.get("gap", {}).get(quantity))
-            assert value == wanted, (quantity, row[quantity], value)
+            expected = printed.approx_printed(row[quantity], row.get("gap", {}).get(quantity))
+            assert value == expected, (quantity, row[quantity], value)
 
 
 @pytest.mark.parametrize("name", ["new-england", "nets-nyps"])
 def test_every_swing_mode_of_another_tool(name, linear):
     """ANDES on the same rows: 9 and 15 modes of 10 and 16 machines, each found once."""
-    wanted = [r for r in printed.rows("modes_andes") if r["case"] == name]
+    expected = [r for r in printed.rows("modes_andes") if r["case"] == name]
     result = [
         e for e in np.linalg.eigvals(linear(name, impedance=True).A) if 2.0 < e.imag < 12.0 and e.real > -3.2
     ]
-    assert len(result) == len(wanted) == len(load_case(name).machines) - 1
-    for row in wanted:
+    assert len(result) == len(expected) == len(load_case(name).machines) - 1
+    for row in expected:
         real, imag = (printed.approx_printed(row[key], CLOSE) for key in ("real", "imag"))
         assert len([e for e in result if e.real == real and e.imag == imag]) == 1, row
 

@@ -77,13 +77,13 @@ def rows_of(
 def test_rows_are_the_same_to_the_bit_side_by_side_and_one_by_one(
     name: str, sweep: Any, cache: Path, tmp_path: Path
 ) -> None:
-    wanted = rows_of(sweep(name), cache, tmp_path, lanes=1, shares=False)
-    assert len({repr({k: v for k, v in row.items() if k != "run"}) for row in wanted}) == len(wanted)
-    assert [row["run"] for row in wanted] == list(range(len(wanted)))
-    assert any(row["status"] == "ok" for row in wanted)
+    expected = rows_of(sweep(name), cache, tmp_path, lanes=1, shares=False)
+    assert len({repr({k: v for k, v in row.items() if k != "run"}) for row in expected}) == len(expected)
+    assert [row["run"] for row in expected] == list(range(len(expected)))
+    assert any(row["status"] == "ok" for row in expected)
     for lanes, order, shares in ((8, 1, True), (4, -1, False), (2, -1, True)):
         rows = rows_of(sweep(name), cache, tmp_path, lanes=lanes, order=order, shares=shares)
-        assert repr(rows) == repr(wanted), (lanes, order, shares)
+        assert repr(rows) == repr(expected), (lanes, order, shares)
 
 
 @pytest.mark.slow
@@ -91,7 +91,7 @@ def test_company_that_computes_too_long_is_made_alone(
     sweep: Any, cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The limit is that of a run; runs beside it must not use it up."""
-    wanted = rows_of(sweep("latency and loss"), cache, tmp_path, lanes=1)
+    expected = rows_of(sweep("latency and loss"), cache, tmp_path, lanes=1)
     plan = plan_sweep(load_sweep(sweep("latency and loss")), cache)
     begun: list[tuple[int, ...]] = []
     with Runner(plan, cache, tmp_path) as runner:
@@ -107,7 +107,7 @@ def test_company_that_computes_too_long_is_made_alone(
         runner.on_build = lambda *runs: begun.append(runs)
         result = sorted((o.row for o in runner.outcomes(range(plan.sweep.size))), key=lambda row: row["run"])
         together = [runs for runs in begun if len(runs) > 1]
-    assert repr(result) == repr(wanted)
+    assert repr(result) == repr(expected)
     if lanes_here(cache).count > 1:
         assert len(together) == 1  # what is too long once is not tried again
         assert sorted(run for runs in begun if len(runs) == 1 for run in runs) == list(range(len(result)))
@@ -119,14 +119,14 @@ def test_without_the_library_runs_go_one_by_one(
 ) -> None:
     from interarea.fmu_build.errors import BuildError
 
-    wanted = rows_of(sweep("latency and loss"), cache, tmp_path, lanes=8)
+    expected = rows_of(sweep("latency and loss"), cache, tmp_path, lanes=8)
 
     def missing(**_: Any) -> GroupLibrary:
         raise BuildError("no compiler")
 
     monkeypatch.setattr(lane_batches, "plant_group", missing)
     assert lanes_here(cache).count == 1
-    assert repr(rows_of(sweep("latency and loss"), cache, tmp_path, lanes=8)) == repr(wanted)
+    assert repr(rows_of(sweep("latency and loss"), cache, tmp_path, lanes=8)) == repr(expected)
 
 
 @pytest.mark.parametrize(("ports", "many"), [(2, False), (35, True)])

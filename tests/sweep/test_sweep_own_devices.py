@@ -46,11 +46,11 @@ def test_rows_are_those_of_the_package_in_one_process_and_in_others(
     tables: dict[str, dict[str, Any]], cache: Path, tmp_path: Path
 ) -> None:
     run_sweep(tables["static"], tmp_path / "plain", workers=1, cache=cache)
-    wanted = read_rows(tmp_path / "plain")
-    assert set(wanted.status) == {"ok"} and wanted.damping_inter_area.nunique() == 4
+    expected = read_rows(tmp_path / "plain")
+    assert set(expected.status) == {"ok"} and expected.damping_inter_area.nunique() == 4
     plan = plan_sweep(load_sweep(tables["mine"]), cache)
     run_sweep(tables["mine"], tmp_path / "apart", workers=2, cache=cache)
-    pd.testing.assert_frame_equal(read_rows(tmp_path / "apart"), wanted, check_exact=True)
+    pd.testing.assert_frame_equal(read_rows(tmp_path / "apart"), expected, check_exact=True)
     sparse = [
         sparse_linear_plant(load_case(tmp_path / "grid" / f"{kind}.toml"), cache)
         for kind in ("static", "mine")
@@ -65,4 +65,4 @@ def test_rows_are_those_of_the_package_in_one_process_and_in_others(
         if runner.lanes > 1:
             assert all(p.group is not None and p.group is not runner.library for p in plants)
     result = pd.DataFrame(rows)[["run", "damping_inter_area", "peak_pu", "energy_pu2s"]]
-    pd.testing.assert_frame_equal(result, wanted[list(result)], check_exact=True)
+    pd.testing.assert_frame_equal(result, expected[list(result)], check_exact=True)

@@ -79,6 +79,6 @@ def test_sources_rebuild_to_the_same_bits(
         (binary,) = [n for n in before.namelist() if n.startswith("binaries/")]
         assert before.read(binary) != after.read(binary)
     start = START.get(kind, {"G2_dw": 0.01} if kind == "controller" else {})
-    wanted = bits(fmu, start)
-    assert np.any(np.ptp(wanted, axis=0) > 0.0)
-    assert np.array_equal(bits(rebuilt, start), wanted)
+    expected = bits(fmu, start)
+    assert np.any(np.ptp(expected, axis=0) > 0.0)
+    assert np.array_equal(bits(rebuilt, start), expected)

@@ -66,8 +66,8 @@ def test_after_a_load_step_it_settles_at_the_speed_of_a_calculation_by_hand(
     case = grid(tmp_path, governor=governor)
     step = {"kind": "load_step", "bus": 2, "start_s": 1.0, "p_pu": p_pu}
     run = ia.simulate({"stop_s": 120.0, "event": [step]}, case=case)
-    wanted = steady_speed(case, p_pu, 1.0 / R if governor else 0.0)
-    assert run["plant.G1_dw"][-1] == pytest.approx(wanted, rel=1e-6)
+    expected = steady_speed(case, p_pu, 1.0 / R if governor else 0.0)
+    assert run["plant.G1_dw"][-1] == pytest.approx(expected, rel=1e-6)
     assert run.stable
     assert run.verdict.name == "settled"
 
@@ -110,10 +110,10 @@ def test_modes_against_an_infinite_bus(tmp_path: Path) -> None:
     emf = E + 1j * XD1 * (E - V2) / (1j * X)
     delta = np.angle(emf) - np.angle(V2)
     slope = abs(emf) * abs(V2) / (X + XD1) * np.cos(delta)
-    wanted = np.roots([2.0 * H, D, case.omega_b * slope])[0]
+    expected = np.roots([2.0 * H, D, case.omega_b * slope])[0]
     (mode,) = ia.modes(case).values()
-    assert abs(mode.eigenvalue.imag) == pytest.approx(abs(wanted.imag), rel=1e-3)  # the bus has 1e-4 pu
-    assert mode.eigenvalue.real == pytest.approx(wanted.real, rel=1e-3)
+    assert abs(mode.eigenvalue.imag) == pytest.approx(abs(expected.imag), rel=1e-3)  # the bus has 1e-4 pu
+    assert mode.eigenvalue.real == pytest.approx(expected.real, rel=1e-3)
     plant = sparse_linear_plant(case, default_cache())
     zeros = zero_eigenvalues_of(plant)
     assert (zeros.rotation, zeros.common_speed, zeros.infinite) == (False, False, ("G2",))

@@ -59,8 +59,8 @@ def test_files_are_those_that_pandas_writes(trajectory: Trajectory, tmp_path: Pa
     odd = Trajectory(columns, dict.fromkeys(columns, "1"))
     with TrajectoryFiles(tmp_path, every=2) as files:
         files.add(odd)
-    wanted = odd.data.iloc[::2]
-    assert files.files[0].read_text() == wanted.to_csv(index=False, float_format="%.17g")
+    expected = odd.data.iloc[::2]
+    assert files.files[0].read_text() == expected.to_csv(index=False, float_format="%.17g")
     own, theirs = odd.table(), pa.Table.from_pandas(pd.DataFrame(columns), preserve_index=False)
     assert own.equals(theirs) and own["a.v"].null_count == 1
     with TrajectoryFiles(tmp_path) as files:

@@ -43,11 +43,11 @@ def test_against_the_derivative_of_a_known_family():
 
     p = 0.7
     modes = eigenvalue_sensitivity(all_modes(A(p)), A, p, parameter="p")
-    wanted = {p: 1.0, p * p: 2 * p, 3 * np.sin(p): 3 * np.cos(p)}
+    expected = {p: 1.0, p * p: 2 * p, 3 * np.sin(p): 3 * np.cos(p)}
     for s in modes.values():
-        value = min(wanted, key=lambda z, s=s: abs(z - s.eigenvalue))
-        assert s.derivative == pytest.approx(wanted[value], abs=1e-10)
-        assert abs(s.derivative - wanted[value]) <= max(s.error, 1e-11)
+        value = min(expected, key=lambda z, s=s: abs(z - s.eigenvalue))
+        assert s.derivative == pytest.approx(expected[value], abs=1e-10)
+        assert abs(s.derivative - expected[value]) <= max(s.error, 1e-11)
 
 
 def test_damping_ratio_and_frequency_slopes_are_those_of_their_formulas():

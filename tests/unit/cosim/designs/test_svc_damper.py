@@ -15,13 +15,13 @@ from interarea.design.controllers.controller import Controller
 from interarea.design.modes.loop_points import LoopSet
 from interarea.models.case.case import load_case
 
-HERE = Path(__file__).parent
-DESIGN = HERE / "svc_damper.toml"
+FOLDER = Path(__file__).parent
+DESIGN = FOLDER / "svc_damper.toml"
 FAULT = [{"kind": "bus_fault", "bus": 3, "start_s": 1.0, "end_s": 1.05, "x_pu": 1e-4}]
 
 
 def scenario(controller, **more):
-    named = controller if controller == "none" else str(HERE / f"{controller}.json")
+    named = controller if controller == "none" else str(FOLDER / f"{controller}.json")
     return {"case": "two-area-svc", "controller": named, "stop_s": 20.0, "event": FAULT} | more
 
 
@@ -32,7 +32,7 @@ def scenario(controller, **more):
 def test_the_least_inter_area_damping_of_all_conditions(name, least, cache):
     """With a circuit out the grid is unstable without control; the SVC gives more than the exciter."""
     table = load_design(DESIGN)
-    system = Controller.load(HERE / f"{'svc_damper' if name == 'none' else name}.json").system
+    system = Controller.load(FOLDER / f"{'svc_damper' if name == 'none' else name}.json").system
     part = table.part[0].model_copy(update={"actuator": system.output_labels[0]})
     K = 0.0 * system if name == "none" else system
     K.update_names(inputs=system.input_labels, outputs=system.output_labels)

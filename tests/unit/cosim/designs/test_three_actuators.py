@@ -11,8 +11,8 @@ from interarea.cosim.designs.design_file import judge, load_design
 from interarea.cosim.run.run import run_scenario
 from interarea.design.controllers.controller import Controller
 
-HERE = Path(__file__).parent
-TABLE = load_design(HERE / "three_actuators.toml")
+FOLDER = Path(__file__).parent
+TABLE = load_design(FOLDER / "three_actuators.toml")
 LOOPS = {part.actuator: part.signals for part in TABLE.part}
 
 
@@ -25,7 +25,7 @@ def test_every_signal_and_every_actuator_is_lost_in_some_condition() -> None:
 
 @pytest.mark.slow
 def test_the_damping_that_is_left_with_any_signal_or_actuator_lost(cache: Path) -> None:
-    system = Controller.load(HERE / "three_actuators.json").system
+    system = Controller.load(FOLDER / "three_actuators.json").system
     judged = judge(TABLE, system, cache)
     assert all(row.stable for row in judged.rows)
     assert len(judged.rows) == 3 * 16
@@ -46,7 +46,7 @@ SETTLING: dict[str, tuple[str | None, float, float]] = {
 def test_a_fault_settles_sooner_whichever_actuator_is_lost_in_the_swing(lost: str) -> None:
     device, *settling = SETTLING[lost]
     times = []
-    for controller in ("none", str(HERE / "three_actuators.json")):
+    for controller in ("none", str(FOLDER / "three_actuators.json")):
         result = run_scenario(_scenario(controller, device, LOOPS.get(lost, ())))
         assert result.stable
         times.append(result.metrics.settling_time_s)

@@ -107,9 +107,9 @@ def test_container_follows_the_master(name: str, cache: Path, by_hand: Controlle
     master = run_scenario(table, cache=cache, controller=by_hand).trajectory
     rows = np.isin(np.round(master.time_s * 1e9), np.arange(0, 3_000_000_001, 10_000_000))
     for ours, column in names.items():
-        wanted = np.asarray(master[column])[rows]
-        assert np.ptp(wanted) > 0.0
-        assert np.max(np.abs(result[ours] - wanted)) <= TOLERANCE * np.ptp(wanted), ours
+        expected = np.asarray(master[column])[rows]
+        assert np.ptp(expected) > 0.0
+        assert np.max(np.abs(result[ours] - expected)) <= TOLERANCE * np.ptp(expected), ours
     for count in ("valid", "delivered", "dropped"):
         assert np.array_equal(result[f"remote_{count}"], np.asarray(master[f"remote.{count}"])[rows]), count
 
@@ -125,8 +125,8 @@ def test_a_guard_that_follows_a_flow_starts_from_the_flow_at_rest(cache: Path, t
     master = run_scenario(table, cache=cache).trajectory
     rows = np.isin(np.round(master.time_s * 1e9), np.arange(0, 1_500_000_001, 2_500_000))
     for name, ours in result.items():
-        wanted = np.asarray(master[f"controller.{name}"])[rows]
-        assert np.max(np.abs(ours - wanted)) <= 1e-4 * np.ptp(wanted)
+        expected = np.asarray(master[f"controller.{name}"])[rows]
+        assert np.max(np.abs(ours - expected)) <= 1e-4 * np.ptp(expected)
 
 
 @pytest.mark.slow
@@ -147,8 +147,8 @@ def test_supervisor_inside_sees_the_flags_when_they_change(
     rows = np.isin(np.round(master.time_s * 1e9), np.arange(0, 3_000_000_001, 10_000_000))
     assert set(result["controller_active"]) == {1.0, 2.0}
     for ours, column in (("G2_dw", "plant.G2_dw"), ("G4_vs", "controller.G4_vs")):
-        wanted = np.asarray(master[column])[rows]
-        assert np.max(np.abs(result[ours] - wanted)) <= 1e-4 * np.ptp(wanted), ours
+        expected = np.asarray(master[column])[rows]
+        assert np.max(np.abs(result[ours] - expected)) <= 1e-4 * np.ptp(expected), ours
     for ours in ("active", "switches"):
         assert np.array_equal(result[f"controller_{ours}"], np.asarray(master[f"controller.{ours}"])[rows])
 

@@ -123,14 +123,14 @@ def test_a_loop_is_asked_for_what_the_stabilizers_give_at_each_point(weak: WeakM
     assert list(kept) == [point.name for point in points]
     least = {row.point.name: row.least for row in rows} | {"base": there.weakest.damping_ratio}
     for name, point in kept.items():
-        wanted = least[name] - there.choices.given_away
-        if not wanted > there.wanted:
+        expected = least[name] - there.choices.given_away
+        if not expected > there.wanted:
             assert point.ask is None and not point.more
             continue
-        assert point.ask == (0.03, pytest.approx(wanted, abs=1e-4))
+        assert point.ask == (0.03, pytest.approx(expected, abs=1e-4))
         in_band = 2.0 * np.pi * there.weakest.frequency_hz
         extra = BandOffsets(*zip(*point.more, strict=True))(np.array([0.0, in_band, 15.0]))[0]
-        assert extra == pytest.approx([0.0, wanted - there.wanted, 0.0], abs=2e-4)
+        assert extra == pytest.approx([0.0, expected - there.wanted, 0.0], abs=2e-4)
     assert kept["base"].ask is not None and any(point.ask is None for point in kept.values())
     assert keeping_what_is_there(weak, points, rows, 0.03) == points  # no stabilizers to keep
 

@@ -84,9 +84,9 @@ def test_a_grid_forming_inverter_swings_as_its_droop_says():
     E = V + 1j * X * np.conj(S / V)
     away = flow.voltage(2) + 1j * 1e-8 * np.conj(flow.generation[0] / flow.voltage(2))
     K = abs(E) * abs(away) * np.cos(np.angle(E / away)) / (X + 0.25 + 1e-8)
-    wanted = np.roots([T, 1.0, case.omega_b * droop * K])
+    expected = np.roots([T, 1.0, case.omega_b * droop * K])
     A = np.asarray(ia.linearise(case).A)
-    for value in wanted:
+    for value in expected:
         assert np.min(np.abs(np.linalg.eigvals(A) - value)) < 1e-5 * abs(value)
 
 

@@ -101,9 +101,9 @@ def test_a_scenario_names_a_dll_as_its_controller(robust: Path, cache: Path) -> 
     short["controller"] = str(robust)
     short["channels"] = {"remote": {"signal": "G2_dw", "latency_s": 0.1}}
     run, both = interarea.simulate(short), interarea.simulate(table)
-    result, wanted = run.data["controller.G4_vs"].to_numpy(), both.data["mine.G4_vs"].to_numpy()
+    result, expected = run.data["controller.G4_vs"].to_numpy(), both.data["mine.G4_vs"].to_numpy()
     assert np.abs(result).max() > 1e-3
-    assert np.abs(result - wanted).max() < 1e-12, np.abs(result - wanted).max()
+    assert np.abs(result - expected).max() < 1e-12, np.abs(result - expected).max()
     loaded = load_scenario(short)
     assert system_of(loaded, cache=cache).linear_swings() == "controller may have any effect"
     with pytest.raises(ScenarioError, match="controller run as DLLs, which an archive"):

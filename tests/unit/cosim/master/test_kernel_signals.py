@@ -155,5 +155,5 @@ def test_an_offset_between_units_is_never_dropped(
     t, warm, cold = np.asarray(run.time_s), 26.85, 26.85 - 273.15
     decay = np.exp(-t)
     np.testing.assert_allclose(run["b.y"], warm + (280.0 - warm) * decay, rtol=0, atol=1e-6)
-    wanted = cold + (0.0 - cold) * decay + (280.0 - warm) * t * decay
-    np.testing.assert_allclose(run["c.y"], wanted, rtol=0, atol=1e-4 if derivatives else 5e-3)
+    expected = cold + (0.0 - cold) * decay + (280.0 - warm) * t * decay
+    np.testing.assert_allclose(run["c.y"], expected, rtol=0, atol=1e-4 if derivatives else 5e-3)

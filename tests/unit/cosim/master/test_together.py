@@ -196,7 +196,7 @@ def test_a_run_that_fails_leaves_with_its_own_reason(
     alone: list[Any],
 ) -> None:
     with loop_of(changes, cache, by_hand) as loop:
-        with pytest.raises(StepError) as wanted:
+        with pytest.raises(StepError) as expected:
             loop.master.advance()
         log = list(loop.master.participants["plant"].log)  # type: ignore[attr-defined]
         records = bits(loop.master)
@@ -208,11 +208,11 @@ def test_a_run_that_fails_leaves_with_its_own_reason(
         failed, error = masters.pop(place), ended.pop(place)
         assert ended == [None] * 3
         assert isinstance(error, StepError)
-        assert str(error) == str(wanted.value)
-        assert error.time_s == wanted.value.time_s
+        assert str(error) == str(expected.value)
+        assert error.time_s == expected.value.time_s
         assert error.trajectory is not None
-        assert wanted.value.trajectory is not None
-        assert error.trajectory.data.equals(wanted.value.trajectory.data)
+        assert expected.value.trajectory is not None
+        assert error.trajectory.data.equals(expected.value.trajectory.data)
         assert failed.participants["plant"].log == log  # type: ignore[attr-defined]
         assert bits(failed) == records
         assert [bits(m) for m in masters] == [alone[k] for k in others]
@@ -279,5 +279,5 @@ def test_locals_read_after_a_group_step_are_those_of_the_step(
         assert advance_together(masters) == [None, None]
         loop.master.advance()
         plants: list[Any] = [m.participants["plant"] for m in (masters[0], loop.master)]
-        result, wanted = ([plant.value_of(name) for name in names] for plant in plants)
-        np.testing.assert_array_equal(result, wanted)
+        result, expected = ([plant.value_of(name) for name in names] for plant in plants)
+        np.testing.assert_array_equal(result, expected)

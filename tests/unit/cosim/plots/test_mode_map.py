@@ -52,9 +52,9 @@ def test_arrows_are_the_shape_at_the_machines_places(north: Case, turn: complex)
     places = places_of(north)
     shape = {name: z * turn for name, z in SHAPE.items()}
     result = arrows(mode_map(shape, north, places, "shape"))
-    wanted = {places[m.bus]: SHAPE[m.name] for m in north.machines if m.name != "G4"}  # a dot
-    assert result.keys() == wanted.keys()
-    assert all(abs(result[at] - wanted[at]) < 1e-12 for at in wanted)
+    expected = {places[m.bus]: SHAPE[m.name] for m in north.machines if m.name != "G4"}  # a dot
+    assert result.keys() == expected.keys()
+    assert all(abs(result[at] - expected[at]) < 1e-12 for at in expected)
 
 
 def test_a_degree_of_longitude_is_drawn_as_long_as_it_is(north: Case) -> None:

@@ -338,9 +338,9 @@ def test_poles_by_subspaces_follow_covariances_of_their_rank(moved: list[complex
     factors = methods._Factors.of(two_modes(POLES), rows, STEP_S)
     seen, slopes = factors.slopes(4, [(one - other) / (2.0 * step), np.zeros_like(one)])
     assert len(seen) == 2
-    for pole, wanted in zip(POLES, change, strict=True):
+    for pole, expected in zip(POLES, change, strict=True):
         own = methods._of_pole(seen, slopes, pole)
-        assert own == pytest.approx(np.array([wanted, 0.0]), abs=1e-6)
+        assert own == pytest.approx(np.array([expected, 0.0]), abs=1e-6)
 
 
 def test_a_singular_value_left_out_does_not_widen_intervals() -> None:

@@ -21,11 +21,11 @@ def swing(zeta: float, frequency_hz: float, phase: float = 0.0) -> np.ndarray:
 
 def test_three_modes_in_four_signals_are_told_apart() -> None:
     shapes = np.array([[1.0, 0.9, -0.8, -1.0], [0.5, -0.6, 0.0, 0.01], [0.0, 0.02, 0.4, -0.4]])
-    wanted = [(0.08, 0.62), (0.25, 1.14), (0.20, 1.21)]
-    values = sum(np.outer(swing(z, f), s) for (z, f), s in zip(wanted, shapes, strict=True))
+    expected = [(0.08, 0.62), (0.25, 1.14), (0.20, 1.21)]
+    values = sum(np.outer(swing(z, f), s) for (z, f), s in zip(expected, shapes, strict=True))
     fit = m.ring_down(T, values, rank_tolerance=1e-8)
     result = sorted((mode.frequency_hz, mode.damping_ratio) for mode in fit.modes)
-    np.testing.assert_allclose(result, [(f, z) for z, f in wanted], rtol=1e-6)
+    np.testing.assert_allclose(result, [(f, z) for z, f in expected], rtol=1e-6)
     assert fit.error <= 1e-9
 
 

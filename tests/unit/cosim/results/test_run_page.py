@@ -87,8 +87,8 @@ def test_the_pointer_shows_what_was_run(run: Run) -> None:
     swing, speeds, control = kept["axes"]
     assert [c["name"] for c in speeds["curves"]] == ["G1", "G2", "G3", "G4"]
     time = np.array(speeds["curves"][1]["x"])
-    wanted = 1e3 * np.interp(time, run.trajectory.time_s, run["plant.G2_dw"])
-    assert np.allclose(speeds["curves"][1]["y"], wanted, rtol=1e-3, atol=1e-9)
+    expected = 1e3 * np.interp(time, run.trajectory.time_s, run["plant.G2_dw"])
+    assert np.allclose(speeds["curves"][1]["y"], expected, rtol=1e-3, atol=1e-9)
     assert swing["x"] == [0.0, 4.0] and swing["name"] == "time (s)"
     ground = re.findall(
         r'id="[^"]*patch_\d+">\s*<path d="M ([\d.]+) ([\d.]+) L ([\d.]+) ([\d.]+) L [\d.]+ ([\d.]+)', text

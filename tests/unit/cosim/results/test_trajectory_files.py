@@ -121,11 +121,13 @@ def test_record_and_every(
     result = Trajectory.read_parquet(tmp_path / NAMES[1]).data
     last = len(whole) - 1
     rows = [*range(0, last, every), last]
-    wanted = [c for c in whole.columns if c in (TIME, "a.y") or c.startswith("b.")]
-    assert list(result.columns) == wanted and len(wanted) > 3
-    pd.testing.assert_frame_equal(result, whole[wanted].iloc[rows].reset_index(drop=True), check_dtype=False)
+    expected = [c for c in whole.columns if c in (TIME, "a.y") or c.startswith("b.")]
+    assert list(result.columns) == expected and len(expected) > 3
+    pd.testing.assert_frame_equal(
+        result, whole[expected].iloc[rows].reset_index(drop=True), check_dtype=False
+    )
     text = pd.read_csv(tmp_path / NAMES[0])
-    assert list(text.columns) == wanted and np.array_equal(text["a.y"], result["a.y"])
+    assert list(text.columns) == expected and np.array_equal(text["a.y"], result["a.y"])
 
 
 def test_a_signal_that_is_not_there_is_refused_before_the_run(

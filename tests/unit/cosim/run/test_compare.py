@@ -52,12 +52,12 @@ def test_roots_over_latency_are_those_of_the_loop_with_that_latency(scenario: Sc
     at_s = LATENCIES_S[8]
     late = {n: c.model_copy(update={"latency_s": at_s}) for n, c in scenario.channels.items()}
     single = scenario.model_copy(update={"channels": late, "controller": "mine.json"})
-    wanted = system_of(single, cache=cache).linear_swings()
+    expected = system_of(single, cache=cache).linear_swings()
     result = own.locus[at_s]
-    assert isinstance(wanted, LoopModes) and isinstance(result, LoopModes)
-    assert result.least == pytest.approx(wanted.least, rel=1e-9)
+    assert isinstance(expected, LoopModes) and isinstance(result, LoopModes)
+    assert result.least == pytest.approx(expected.least, rel=1e-9)
     rows = [r for r in own.roots() if r["latency_s"] == at_s]
-    assert min(r["damping_ratio"] for r in rows) == pytest.approx(-wanted.least.real / abs(wanted.least))  # type: ignore[union-attr]
+    assert min(r["damping_ratio"] for r in rows) == pytest.approx(-expected.least.real / abs(expected.least))  # type: ignore[union-attr]
     least = [m.least for m in own.locus.values() if isinstance(m, LoopModes) and m.least is not None]
     assert len({round(z.real, 6) for z in least}) == len(LATENCIES_S)  # latency moves them
 

@@ -55,10 +55,10 @@ def test_a_run_tells_what_is_damped_least_and_not_what_its_ring_down_shows_best(
     plant = speeds_in_rad(remove_reference(linear_plant(case, default_cache())), case.omega_b)
     K = controller_of("wdc", case, default_cache())
     assert isinstance(K, Controller)
-    wanted = least_damping(plant, K.system, dict.fromkeys(K.inputs, 0.2))
-    assert wanted == pytest.approx(0.063, abs=5e-4)
+    expected = least_damping(plant, K.system, dict.fromkeys(K.inputs, 0.2))
+    assert expected == pytest.approx(0.063, abs=5e-4)
     m = late.metrics
-    assert m.least_damping_ratio == pytest.approx(wanted, abs=1e-6)
+    assert m.least_damping_ratio == pytest.approx(expected, abs=1e-6)
     assert late.damping_ratio("least") == m.least_damping_ratio and m.least_mode == "local area 2"
     assert m.least_frequency_hz == pytest.approx(1.403, abs=1e-3)
     assert "least damping 0.063 at 1.40 Hz (local area 2)" in late.summary

@@ -106,9 +106,9 @@ def test_it_is_the_system_that_it_describes(fmu: Path, tmp_path: Path) -> None:
     )
     run = run_system(archive(tmp_path, fmu, top))
     by_hand = System(stop_s=2.0).fmu("a", fmu, x0=-0.5).fmu("sub_b", fmu, x0=2.0)
-    wanted = by_hand.connect("a.y", "sub_b.u").connect("sub_b.y", "a.u").run()
+    expected = by_hand.connect("a.y", "sub_b.u").connect("sub_b.y", "a.u").run()
     for name in ("a.y", "sub_b.y"):
-        np.testing.assert_array_equal(np.asarray(run[name]), np.asarray(wanted[name]))
+        np.testing.assert_array_equal(np.asarray(run[name]), np.asarray(expected[name]))
     assert "a <-> sub_b" in run.explain()
 
 
@@ -182,7 +182,7 @@ def test_what_is_no_structure_is_one_line(tmp_path: Path) -> None:
 def test_our_own_archive_gives_the_run_that_it_was_written_from(tmp_path: Path, cache: Path) -> None:
     """The receiving loop knows no channel, so it iterates; what is left is its tolerance."""
     file = write_ssp(load_scenario("lost-signal"), tmp_path / "loop.ssp", cache=cache)
-    run, wanted = run_system(file, cache=cache), run_scenario("lost-signal", cache=cache)
-    times, speed = wanted.data["time_s"], wanted.data["plant.G4_dw"]
+    run, expected = run_system(file, cache=cache), run_scenario("lost-signal", cache=cache)
+    times, speed = expected.data["time_s"], expected.data["plant.G4_dw"]
     again = np.interp(times, run.data["time_s"], run.data["fmu_plant.G4_dw"])
     assert np.abs(again - speed).max() < 1e-7 * np.abs(speed).max()

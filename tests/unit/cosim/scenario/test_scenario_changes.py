@@ -40,9 +40,9 @@ def test_gain_is_the_controller_with_its_output_multiplied(hand_controller: Cont
         "by_hand", control.ss(K.A, K.B, 2.5 * K.C, 2.5 * K.D, inputs=K.input_labels, outputs=K.output_labels)
     )
     changed = run_scenario(scenario(controller_gain=2.5), controller=hand_controller)
-    wanted = run_scenario(scenario(), controller=by_hand)
-    assert np.array_equal(changed["controller.G4_vs"], wanted["controller.G4_vs"])
-    assert np.max(np.abs(wanted["controller.G4_vs"])) > 1e-4
+    expected = run_scenario(scenario(), controller=by_hand)
+    assert np.array_equal(changed["controller.G4_vs"], expected["controller.G4_vs"])
+    assert np.max(np.abs(expected["controller.G4_vs"])) > 1e-4
 
 
 def test_limit_bounds_the_control_signal(hand_controller: Controller) -> None:

@@ -79,8 +79,8 @@ def test_other_coordinates_are_the_same_problem() -> None:
         W = rng.standard_normal((2, 2))
         solution = replace(near, values={"X": W + W.T})
         values = back(solution).values
-        wanted = problem.objective(values, {})
-        assert stated.objective(solution.values, {}) == pytest.approx(wanted, rel=1e-9, abs=1e-12)
+        expected = problem.objective(values, {})
+        assert stated.objective(solution.values, {}) == pytest.approx(expected, rel=1e-9, abs=1e-12)
         for block, other in zip(problem.blocks, stated.blocks, strict=True):
             S, T = block.value(values, {}), other.value(solution.values, {})
             assert (np.linalg.eigvalsh(S) > 0.0).sum() == (np.linalg.eigvalsh(T) > 0.0).sum()

@@ -55,8 +55,8 @@ def test_every_scenario_of_the_study_is_a_valid_scenario() -> None:
     documents = scenario_documents(load_study("thesis"), 0.43)
     for name, document in documents.items():
         assert load_scenario(document).stop_s > 0.0, name
-    wanted = {"none-pulse", "wdc-pulse", "cc-lost-10s", "ftc-lost-1s", "wdc-fault", "wdc-synchronous-500ms"}
-    assert wanted <= set(documents)
+    expected = {"none-pulse", "wdc-pulse", "cc-lost-10s", "ftc-lost-1s", "wdc-fault", "wdc-synchronous-500ms"}
+    assert expected <= set(documents)
 
 
 def test_wirings_differ_in_the_local_latency_only() -> None:

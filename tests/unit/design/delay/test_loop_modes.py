@@ -187,9 +187,9 @@ def test_a_controller_with_poles_of_any_multiplicity(
     assert not isinstance(function._K, ModalForm)
     result = np.array(function.modes({"G2_dw": DelayedPath(latency_s=latency_s)}, poles_of(plant[1])).roots)
     exact = rightmost_roots(delayed_loop(plant[0], K, {"G2_dw": latency_s}), right_of=-4.0)
-    wanted, got = in_band(exact), in_band(result[result.real > -4.0])
-    assert len(wanted) >= 3
-    np.testing.assert_allclose(got, wanted, rtol=1e-6)
+    expected, got = in_band(exact), in_band(result[result.real > -4.0])
+    assert len(expected) >= 3
+    np.testing.assert_allclose(got, expected, rtol=1e-6)
 
 
 def test_both_forms_of_a_transfer_matrix_agree(plant: tuple[control.StateSpace, Modes]) -> None:

@@ -179,8 +179,8 @@ def test_mixed_sensitivity_with_region_keeps_every_promise_of_an_optimum(order: 
     assert all(np.linalg.eigvalsh(Z)[0] > -1e-12 * np.abs(Z).max() for Z in solution.multipliers)
     gradient = multiplier_gradient(problem, solution.multipliers)
     for v in problem.variables:
-        wanted = problem.objective_matrices.get(v.name, np.zeros((v.rows, v.cols)))
-        assert gradient[v.name] == pytest.approx(wanted, abs=1e-8)
+        expected = problem.objective_matrices.get(v.name, np.zeros((v.rows, v.cols)))
+        assert gradient[v.name] == pytest.approx(expected, abs=1e-8)
     assert gradient["gamma"] == pytest.approx(1.0, rel=1e-8)
     dual = -sum(
         float(np.sum(b.constant.conj() * Z).real)

@@ -314,8 +314,8 @@ def test_a_common_speed_that_stays_is_no_target_and_the_rest_is_unchanged() -> N
     B, C = rng.normal(size=(6, 2)), rng.normal(size=(2, 6))
     plant = control.ss(T @ still @ np.linalg.inv(T), T @ B, C @ np.linalg.inv(T), np.zeros((2, 2)))
     swinging = without_common_speed(plant)
-    kept, wanted = (np.sort_complex(np.linalg.eigvals(M)) for M in (swinging.A, A))
-    assert kept == pytest.approx(wanted)
+    kept, expected = (np.sort_complex(np.linalg.eigvals(M)) for M in (swinging.A, A))
+    assert kept == pytest.approx(expected)
     s = 1.0 + 2.0j
     left_out = np.outer(C[:, 0], B[0]) / s
     assert plant(s) - left_out == pytest.approx(swinging(s), rel=1e-9)

@@ -38,11 +38,11 @@ def test_a_masked_controller_has_the_columns_that_are_left_and_no_others() -> No
     sees = seen_by(K)
     assert sees == {"G2_vs": ("G1_dw", "G2_dw"), "G4_vs": ("G3_dw", "G4_dw")}
     alone = masked(K, own_signals(K.output_labels, K.input_labels))
-    wanted = response(K, OMEGA)
+    expected = response(K, OMEGA)
     for row, column in ((0, 0), (1, 2)):  # each actuator's signal of the other machine
-        assert abs(wanted[:, row, column]).max() > 1e-3
-        wanted[:, row, column] = 0.0
-    np.testing.assert_allclose(response(alone, OMEGA), wanted, atol=1e-12)
+        assert abs(expected[:, row, column]).max() > 1e-3
+        expected[:, row, column] = 0.0
+    np.testing.assert_allclose(response(alone, OMEGA), expected, atol=1e-12)
 
 
 def test_a_part_without_signals_leaves_nothing_behind() -> None:

@@ -86,8 +86,8 @@ def test_the_shift_is_the_integral_of_what_the_limit_lets_through() -> None:
         u = 0.1 * x + 0.02 * np.sin(3.0 * t)
         return float(400.0 * np.exp(-((t - 1.5) ** 2) * 8.0) * limit * np.tanh(u / limit))
 
-    wanted, _ = quad(through, 0.0, 3.0)
-    assert penalty.shifts_deg((A, B, C, D))[0] == pytest.approx(wanted, rel=1e-5)
+    expected, _ = quad(through, 0.0, 3.0)
+    assert penalty.shifts_deg((A, B, C, D))[0] == pytest.approx(expected, rel=1e-5)
 
 
 def test_a_washout_in_series_is_taken_into_the_signals() -> None:
@@ -98,7 +98,7 @@ def test_a_washout_in_series_is_taken_into_the_signals() -> None:
     case, behind = _penalty(3.0).cases[0], tightened(spec, 7.0).cases[0]
     time = 0.02 * np.arange(80)
     # s T / (1 + s T) of signals that are straight between samples
-    _, wanted, _ = lsim(([[-0.5]], [[0.5]], [[-1.0]], [[1.0]]), case.signals[:, 0], time)
-    assert behind.signals[:, 0] == pytest.approx(np.ravel(wanted), abs=2e-4)
+    _, expected, _ = lsim(([[-0.5]], [[0.5]], [[-1.0]], [[1.0]]), case.signals[:, 0], time)
+    assert behind.signals[:, 0] == pytest.approx(np.ravel(expected), abs=2e-4)
     assert tightened(spec, 7.0).margin_deg == 7.0
     assert tightened(replace(spec, washout_s=0.0, dc_block=True), 1.0).cases[0] is spec.swing.cases[0]  # type: ignore[union-attr]

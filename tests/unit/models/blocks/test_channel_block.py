@@ -108,12 +108,12 @@ def test_outages(channel: Path, on_loss: int, inside: object) -> None:
             at = (k + 1) * h
             lost = 5 < k + 1 < 14
             assert run.get("valid") == (not lost)
-            wanted = cubic(max(at - 0.1, 0.0))[0]
+            expected = cubic(max(at - 0.1, 0.0))[0]
             if lost:
                 held_now = on_loss == 1 or (on_loss == 2 and k + 1 < 9)
-                wanted = held if held_now else 0.0
+                expected = held if held_now else 0.0
                 assert run.slope("y") == 0.0
-            assert abs(run.get("y") - wanted) < 1e-13, (on_loss, inside, at)
+            assert abs(run.get("y") - expected) < 1e-13, (on_loss, inside, at)
 
 
 def test_a_channel_that_is_not_asked_holds_for_half_a_second_then_gives_zero(channel: Path) -> None:

@@ -117,9 +117,9 @@ def test_exciter_is_its_transfer_function(kind):
         KE = -S if e["KE"] == "self-excited" else e["KE"]
         loss = KE + S * (1 + e["Bex"] * efd)  # slope of (KE + SE) Efd
         regulator = control.feedback(regulator / (e["TE"] * s + loss), e["KF"] * s / (1 + e["TF"] * s))
-    wanted = regulator(1j * W)
+    expected = regulator(1j * W)
     ours = response(A[np.ix_(own, own)], B[own, 0], row[own], direct[0], W)
-    np.testing.assert_allclose(ours, wanted, rtol=1e-9)
+    np.testing.assert_allclose(ours, expected, rtol=1e-9)
 
 
 @pytest.mark.parametrize("kind", EXCITERS)
@@ -146,11 +146,11 @@ def test_stabilizer_is_its_transfer_function(stages):
     A, _, _, _ = plant.jacobians()
     row, _ = efd_output(plant)
     (slip,) = index(plant, "G1.slip")
-    wanted = p["K"] * p["Tw"] * s / (1 + p["Tw"] * s) / (1 + p["TR"] * s)
+    expected = p["K"] * p["Tw"] * s / (1 + p["Tw"] * s) / (1 + p["TR"] * s)
     for k in range(stages):
-        wanted = wanted * lead(p[f"T{2 * k + 1}"], p[f"T{2 * k + 2}"])
+        expected = expected * lead(p[f"T{2 * k + 1}"], p[f"T{2 * k + 2}"])
     ours = response(A[np.ix_(own, own)], A[own, slip], row[own], row[slip], W) / STATIC["KA"]
-    np.testing.assert_allclose(ours, wanted(1j * W), rtol=1e-9)
+    np.testing.assert_allclose(ours, expected(1j * W), rtol=1e-9)
 
 
 @pytest.mark.parametrize("governor", [STEAM, TGOV1], ids=["steam", "tgov1"])
@@ -164,13 +164,13 @@ def test_governor_is_its_transfer_function(governor):
     ours = 2 * H * response(A[np.ix_(own, own)], A[own, slip], A[slip, own], A[slip, slip], W)
     g = governor
     if g["kind"] == "tgov1":
-        wanted = -1 / g["R"] / (1 + g["T1"] * s) * lead(g["T2"], g["T3"]) - g["Dt"]
+        expected = -1 / g["R"] / (1 + g["T1"] * s) * lead(g["T2"], g["T3"]) - g["Dt"]
     else:
         chest = 1 / (1 + g["T5"] * s)
         reheat = chest / (1 + g["T4"] * s)
         turbine = g["F5"] * chest + g["F4"] * reheat + g["F3"] * reheat / (1 + g["T3"] * s)
-        wanted = -g["Kp"] / g["Rp"] / (1 + g["Tsr"] * s) / (1 + g["Tsm"] * s) * turbine
-    np.testing.assert_allclose(ours, wanted(1j * W), rtol=1e-9)
+        expected = -g["Kp"] / g["Rp"] / (1 + g["Tsr"] * s) / (1 + g["Tsm"] * s) * turbine
+    np.testing.assert_allclose(ours, expected(1j * W), rtol=1e-9)
 
 
 @pytest.mark.parametrize("kind", EXCITERS)

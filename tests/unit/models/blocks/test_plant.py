@@ -47,15 +47,15 @@ def test_thesis_case_has_the_modes_and_states_of_its_match():
 
 def test_thyristor_case_agrees_with_an_independent_code():
     plant = BlockShim(plant_block(load_case("kundur-thyristor-z")))
-    wanted = [0.0141 + 3.829j, -0.6604 + 7.180j, -0.6586 + 7.403j]
-    np.testing.assert_allclose(swing(plant), wanted, atol=6e-4)
+    expected = [0.0141 + 3.829j, -0.6604 + 7.180j, -0.6586 + 7.403j]
+    np.testing.assert_allclose(swing(plant), expected, atol=6e-4)
 
 
 def test_constant_field_voltage_agrees_with_two_independent_codes():
     change = {"machines": {"defaults": {"exciter": {"kind": "constant"}}}}
     plant = started("kundur-thyristor-z", change=change)
-    wanted = [-0.0921 + 3.409j, -0.5759 + 6.807j, -0.5787 + 7.030j]
-    np.testing.assert_allclose(swing(plant), wanted, atol=6e-4)
+    expected = [-0.0921 + 3.409j, -0.5759 + 6.807j, -0.5787 + 7.030j]
+    np.testing.assert_allclose(swing(plant), expected, atol=6e-4)
 
 
 def somewhere(plant) -> tuple[np.ndarray, np.ndarray]:
@@ -310,10 +310,10 @@ def test_machines_side_by_side_have_the_bits_of_each_alone(name):
     plant = started(name, change={"machines": machines})
     widest, (x, u) = plant._block.lanes, somewhere(plant)
     plant._block.lanes = 0
-    wanted = [plant.derivatives(x, u)]
+    expected = [plant.derivatives(x, u)]
     for lanes in (4, 8):
         plant._block.lanes = min(lanes, widest)
-        wanted.append(plant.derivatives(x, u))
-    for result in wanted[1:]:
-        np.testing.assert_array_equal(result[0], wanted[0][0])
-        np.testing.assert_array_equal(result[1], wanted[0][1])
+        expected.append(plant.derivatives(x, u))
+    for result in expected[1:]:
+        np.testing.assert_array_equal(result[0], expected[0][0])
+        np.testing.assert_array_equal(result[1], expected[0][1])

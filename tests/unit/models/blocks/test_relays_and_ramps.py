@@ -84,8 +84,8 @@ def test_a_relay_opens_at_the_time_that_a_constant_rate_of_change_tells(
     rate = HZ * push / (2.0 * H)  # Hz/s
     crossing_s = 0.1 + 1.0333 / rate
     relay = shed(HZ + sign * 1.0333, delay_s=delay_s, breaker_s=breaker_s, filter_s=filter_s)
-    wanted = picks_up(crossing_s, filter_s) + delay_s + breaker_s
-    assert opened_at(started(pushed(sign * push), relay, form=form), 1.5) == pytest.approx(wanted, abs=1e-9)
+    expected = picks_up(crossing_s, filter_s) + delay_s + breaker_s
+    assert opened_at(started(pushed(sign * push), relay, form=form), 1.5) == pytest.approx(expected, abs=1e-9)
 
 
 @pytest.mark.parametrize("form", FORMS)
@@ -157,8 +157,8 @@ def test_a_ramp_of_the_set_point_gives_the_speed_of_its_integral(form: str) -> N
     times, states, _ = plant.run(0.6, 0.002)
     slip = states[:, plant.state_names.index("G1.slip")]
     t = times - 0.1
-    wanted = np.where(t < rise, np.maximum(t, 0.0) ** 2 / (2.0 * rise), t - rise / 2.0) * size / (2.0 * H)
-    off = np.abs(slip - wanted)
+    expected = np.where(t < rise, np.maximum(t, 0.0) ** 2 / (2.0 * rise), t - rise / 2.0) * size / (2.0 * H)
+    off = np.abs(slip - expected)
     edge = np.isclose((t / (rise / 17)) % 1.0, 0.0, atol=1e-6) | np.isclose(
         (t / (rise / 17)) % 1.0, 1.0, atol=1e-6
     )
@@ -175,8 +175,8 @@ def test_a_ramp_of_a_load_goes_through_its_shares(form: str) -> None:
     for t, share in ((1.0, 0.1), (1.02, 0.3), (1.04, 0.5), (1.1, 1.0)):
         plant.event(t, plant.x)
         whole = started(step | {"size_pu": 0.4 * share, "start_s": 0.0}, form=form)
-        wanted = whole.derivatives(plant.x)[1]
-        assert plant.derivatives(plant.x)[1] == pytest.approx(wanted, rel=1e-14, abs=1e-15), t
+        expected = whole.derivatives(plant.x)[1]
+        assert plant.derivatives(plant.x)[1] == pytest.approx(expected, rel=1e-14, abs=1e-15), t
 
 
 def test_a_line_that_recloses_onto_its_fault_opens_again_and_may_come_back() -> None:

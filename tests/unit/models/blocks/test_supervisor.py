@@ -144,20 +144,20 @@ def test_limit_and_refusals(fmu: Path) -> None:
 
 
 def test_file_and_fmu_hold_the_same_bank(fmu: Path, tmp_path: Path) -> None:
-    wanted = bank(return_s=0.3)
-    for result in (load_controller(wanted.save(tmp_path / "bank.json")), controller_from_fmu(fmu, OMEGA_B)):
+    expected = bank(return_s=0.3)
+    for result in (load_controller(expected.save(tmp_path / "bank.json")), controller_from_fmu(fmu, OMEGA_B)):
         assert isinstance(result, ControllerBank)
         assert result.return_s == 0.3 and [m.name for m in result.members] == ["both", "local"]
-        for own, theirs in zip(wanted.matrices().values(), result.matrices().values(), strict=True):
+        for own, theirs in zip(expected.matrices().values(), result.matrices().values(), strict=True):
             for a, b in zip(own, theirs, strict=True):
                 np.testing.assert_allclose(b, a, rtol=1e-15)
 
 
 def test_file_and_fmu_hold_the_same_guard(tmp_path: Path) -> None:
     guard = Guard({"G4_vs": SIGNALS}, {"G4_vs": -0.5}, 0.25, 8.0, 2.0)
-    wanted = bank(guard=guard)
-    fmu = build_fmu(wanted.block(OMEGA_B), tmp_path / "bank.fmu")
-    for result in (load_controller(wanted.save(tmp_path / "bank.json")), controller_from_fmu(fmu, OMEGA_B)):
+    expected = bank(guard=guard)
+    fmu = build_fmu(expected.block(OMEGA_B), tmp_path / "bank.fmu")
+    for result in (load_controller(expected.save(tmp_path / "bank.json")), controller_from_fmu(fmu, OMEGA_B)):
         assert isinstance(result, ControllerBank) and result.guard is not None
         assert replace(result.guard, threshold=round(result.guard.threshold, 12)) == guard
     with pytest.raises(ControllerError, match="guard watches"):

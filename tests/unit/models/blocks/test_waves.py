@@ -80,14 +80,14 @@ def test_the_first_harmonic_of_a_sine_has_its_size_and_others_are_those_asked_fo
     periods = 3.0 / f
     assert coefficients(periods, f, oscillation(f=f)) == pytest.approx([1, *[0] * 6], abs=1e-9)
     shares = (0.3, -0.1) if f < 3.0 else ()
-    wanted = [1.0, *shares, *[0.0] * (6 - len(shares))]
-    assert coefficients(periods, f, oscillation(f=f, harmonics=shares)) == pytest.approx(wanted, abs=1e-9)
+    expected = [1.0, *shares, *[0.0] * (6 - len(shares))]
+    assert coefficients(periods, f, oscillation(f=f, harmonics=shares)) == pytest.approx(expected, abs=1e-9)
 
 
 def test_a_square_wave_has_the_harmonics_of_one_and_its_edges_are_events() -> None:
     f = 0.7
-    wanted = [4.0 / (math.pi * n) if n % 2 else 0.0 for n in range(1, 8)]
-    assert coefficients(3.0 / f, f, oscillation(f=f, shape="square")) == pytest.approx(wanted, abs=1e-9)
+    expected = [4.0 / (math.pi * n) if n % 2 else 0.0 for n in range(1, 8)]
+    assert coefficients(3.0 / f, f, oscillation(f=f, shape="square")) == pytest.approx(expected, abs=1e-9)
     plant = started(oscillation(f=f, shape="square", start_s=0.123, end_s=2.0))
     times = [0.0]
     while times[-1] < math.inf:
@@ -133,7 +133,7 @@ def test_the_forced_answer_is_the_resolvents(on: str, at: dict[str, Any]) -> Non
             for a, c in zip(up.derivatives(up.x), down.derivatives(down.x), strict=True)
         )
     x = np.linalg.solve(1j * w * np.eye(len(A)) - A, b)
-    wanted = (C @ x + d) * SIZE
+    expected = (C @ x + d) * SIZE
     plant.x += SIZE * x.imag  # of Im(x e^jwt) at 0
     times, _, outputs = plant.run(6.0 / f, 0.002)
     last = times > 2.0 / f
@@ -145,7 +145,7 @@ def test_the_forced_answer_is_the_resolvents(on: str, at: dict[str, Any]) -> Non
     for name in ("G1_dw", "G3_dw", "G2_delta", "G1_vt"):
         k = plant.output_names.index(name)
         late = abs(d[k]) * SIZE * w * 0.002  # a leap is seen at the end of its step
-        assert abs(answer[k] - wanted[k]) <= 3e-3 * abs(wanted[k]) + late, name
+        assert abs(answer[k] - expected[k]) <= 3e-3 * abs(expected[k]) + late, name
 
 
 def shares_of(plant: BlockShim, count: int, first: int = 0) -> np.ndarray:

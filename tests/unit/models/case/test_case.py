@@ -33,8 +33,8 @@ def test_every_table_of_a_bundled_case_names_its_source(name: str) -> None:
 
 
 def test_sizes_of_the_bundled_systems() -> None:
-    wanted = {"new-england": (39, 10), "nets-nyps": (68, 16), "wecc-240": (243, 103)}
-    assert {n: (len(load_case(n).buses), len(load_case(n).machines)) for n in wanted} == wanted
+    expected = {"new-england": (39, 10), "nets-nyps": (68, 16), "wecc-240": (243, 103)}
+    assert {n: (len(load_case(n).buses), len(load_case(n).machines)) for n in expected} == expected
 
 
 def test_base_angular_frequency() -> None:

@@ -354,9 +354,9 @@ def test_c_and_python_agree_far_from_rest(driver, name):
     seen = [{k: v + s * rng.standard_normal() * 0.3 for k, v in inputs.items()} for s in spread]
     rates, outputs = driver.run(instance.model, [instance] * len(xs), xs, seen)
     for k, (x, at) in enumerate(zip(xs, seen, strict=True)):
-        values, wanted = instance.run(x, at)
-        size = 1.0 + np.abs(np.array(wanted, dtype=float))
-        assert np.abs((rates[k] - wanted) / size).max(initial=0.0) < 1e-11
+        values, expected = instance.run(x, at)
+        size = 1.0 + np.abs(np.array(expected, dtype=float))
+        assert np.abs((rates[k] - expected) / size).max(initial=0.0) < 1e-11
         assert outputs[k] == pytest.approx(values[instance.model.device.output], rel=1e-11, abs=1e-13)
 
 
@@ -424,8 +424,8 @@ def test_absent_parts_are_absent_in_c_too(driver, name):
             continue
         x = 0.1 + 0.05 * np.arange(len(instance.states))
         rates, outputs = driver.run(model, [instance], [x], [SEEN])
-        signals, wanted = instance.run(x, SEEN)
-        np.testing.assert_allclose(rates[0], wanted, rtol=1e-11, atol=1e-12)
+        signals, expected = instance.run(x, SEEN)
+        np.testing.assert_allclose(rates[0], expected, rtol=1e-11, atol=1e-12)
         assert outputs[0] == pytest.approx(signals[model.device.output], rel=1e-11)
 
 

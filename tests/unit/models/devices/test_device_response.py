@@ -40,9 +40,9 @@ def test_step_response_and_poles_are_those_of_the_transfer_function():
     assert response.poles == pytest.approx([slow, fast], rel=1e-12)
     lead, gain = SEXS["TA_TB"] * SEXS["TB"], SEXS["K"] * slow * fast
     residue = {p: gain * (1.0 + lead * p) / (p * (p - q)) for p, q in ((slow, fast), (fast, slow))}
-    wanted = SEXS["K"] + sum(r * np.exp(p * response.times) for p, r in residue.items())
+    expected = SEXS["K"] + sum(r * np.exp(p * response.times) for p, r in residue.items())
     assert response.step == ("vref", 0.01)
-    np.testing.assert_allclose(response.output, 0.01 * wanted, atol=1e-6)
+    np.testing.assert_allclose(response.output, 0.01 * expected, atol=1e-6)
 
 
 def test_a_limit_holds_in_the_step_response():

@@ -71,8 +71,8 @@ def test_the_time_allowed_falls_along_the_points(size: float, acts_s: float) -> 
     """Straight lines between the points, the last one beyond; then K (EFDDES - x) EFDRATED a second."""
     times = acts_s + np.array([-0.1, 0.1, 0.3])
     slope = GAIN * (1.0 - size) * RATED
-    wanted = np.array([0.0, 0.1 * slope, 0.3 * slope])
-    assert output(lambda t: size, times) == pytest.approx(np.maximum(wanted, -LOW), abs=0.03 * abs(slope))
+    expected = np.array([0.0, 0.1 * slope, 0.3 * slope])
+    assert output(lambda t: size, times) == pytest.approx(np.maximum(expected, -LOW), abs=0.03 * abs(slope))
 
 
 @pytest.mark.slow

@@ -14,8 +14,10 @@ from interarea.models.case.events import events_of
 from interarea.models.importers.imported import ImportOptions
 from interarea.models.importers.psse import import_psse
 
-HERE = Path(__file__).parent / "openipsl_records"
-RECORDS = {k: v for k, v in tomllib.loads((HERE / "records.toml").read_text()).items() if isinstance(v, dict)}
+FOLDER = Path(__file__).parent / "openipsl_records"
+RECORDS = {
+    k: v for k, v in tomllib.loads((FOLDER / "records.toml").read_text()).items() if isinstance(v, dict)
+}
 QUICK = ("GENSAE", "SCRX")
 #: share of the range; OpenIPSL limits the gate of HYGOV behind its integrator, which winds up there
 WITHIN = {"HYGOV_PMECH_pu": 6e-3}
@@ -32,7 +34,7 @@ def test_the_plant_follows_openipsl(name):
     """Within 1e-3 of each column's range."""
     record = RECORDS[name]
     case = import_psse(
-        HERE / "SMIB.raw", HERE / record["dyr"], options=ImportOptions(P_exponent=1.0, Q_exponent=2.0)
+        FOLDER / "SMIB.raw", FOLDER / record["dyr"], options=ImportOptions(P_exponent=1.0, Q_exponent=2.0)
     ).case
     events = [
         {"kind": "bus_fault", "bus": 4, "x_pu": 1e-7, "start_s": 2.0, "end_s": 2.15},
@@ -50,6 +52,6 @@ def test_the_plant_follows_openipsl(name):
     variable = {"w": f"{machine}_dw", "EFD": f"{machine}.Efd", "PMECH": f"{machine}.Pm"}
     for column in [key for key in record if key.endswith("_pu") and key != "load_p_pu"]:
         result = np.array([row[variable[column.split("_")[-2]]] for row in shown])
-        wanted = np.array(record[column])[: len(result)]
-        error = np.abs(result - wanted).max() / np.ptp(wanted)
+        expected = np.array(record[column])[: len(result)]
+        error = np.abs(result - expected).max() / np.ptp(expected)
         assert error < WITHIN.get(column, 1e-3), (column, error)

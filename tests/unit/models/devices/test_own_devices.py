@@ -92,8 +92,8 @@ def test_a_new_device_has_its_transfer_function(tmp_path: Path) -> None:
         s = 2j * np.pi * f
         inner = np.linalg.solve(s * np.eye(3) - A[np.ix_(own, own)], b[own])
         result = Td01 * (A[field, own] @ inner + b[field])
-        wanted = (PI_ROW["KP"] + PI_ROW["KI"] / s) / (1.0 + s * PI_ROW["TA"])
-        assert result == pytest.approx(wanted, rel=1e-9)
+        expected = (PI_ROW["KP"] + PI_ROW["KI"] / s) / (1.0 + s * PI_ROW["TA"])
+        assert result == pytest.approx(expected, rel=1e-9)
 
 
 def avr_case() -> Case:

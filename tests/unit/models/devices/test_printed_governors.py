@@ -138,8 +138,8 @@ def test_the_stabilizer_of_gridpack_is_its_block_diagram() -> None:
         slopes[n, :n] @ np.linalg.solve(1j * omega * np.eye(n) - slopes[:n, :n], slopes[:n, n]) + slopes[n, n]
     )
     s = 1j * omega
-    wanted = 100 * s / (1 + 20 * s) * (1 + 0.06 * s) / (1 + 0.04 * s) * (1 + 0.08 * s) / (1 + 0.05 * s)
-    assert ours == pytest.approx(wanted, rel=1e-12)
+    expected = 100 * s / (1 + 20 * s) * (1 + 0.06 * s) / (1 + 0.04 * s) * (1 + 0.08 * s) / (1 + 0.05 * s)
+    assert ours == pytest.approx(expected, rel=1e-12)
     for slip in (1.0, -1.0):
         assert point.instance.run(point.states, seen | {"slip": slip})[0]["vs"] == math.copysign(1.0, slip)
 
@@ -274,8 +274,8 @@ def test_the_derivative_of_the_voltage_is_an_input(kind: str) -> None:
     run = solve_ivp(
         lambda t, x: point.instance.run(x, seen(t))[1], (0.0, stop), point.states, rtol=1e-9, atol=1e-12
     )
-    wanted = (1j * omega / (1.0 + 0.01j * omega) * size * np.exp(1j * omega * stop)).imag
-    assert point.instance.run(run.y[:, -1], seen(stop))[0]["vs"] == pytest.approx(wanted, rel=1e-5)
+    expected = (1j * omega / (1.0 + 0.01j * omega) * size * np.exp(1j * omega * stop)).imag
+    assert point.instance.run(run.y[:, -1], seen(stop))[0]["vs"] == pytest.approx(expected, rel=1e-5)
 
 
 def test_a_stabilizer_on_the_bus_frequency_moves_modes_as_in_another_tool() -> None:
@@ -326,10 +326,10 @@ def test_the_speed_deadband_of_wsieg1(err: float, beyond: float) -> None:
     """Nothing within DB1; at twice DB1 the speed less DB1, or less ERR where it is given; to either side."""
     point = wsieg1_at_rest(DB1=0.001, ERR=err)
     for sign in (1.0, -1.0):
-        for slip, wanted in ((0.0009, 0.0), (0.002, beyond)):
+        for slip, expected in ((0.0009, 0.0), (0.002, beyond)):
             seen = {"slip": sign * slip, "pe": 0.7}
             signal = point.instance.run(point.states, seen)[0]["w"]
-            assert signal == pytest.approx(sign * 20.0 * wanted, rel=1e-12, abs=1e-15)
+            assert signal == pytest.approx(sign * 20.0 * expected, rel=1e-12, abs=1e-15)
 
 
 @pytest.mark.slow

@@ -18,8 +18,10 @@ from interarea.models.grid.equilibrium import operating_point
 from interarea.models.importers.dyr import read_dyr
 from interarea.models.importers.psse import import_psse
 
-HERE = Path(__file__).parent / "psse_records"
-RECORDS = {k: v for k, v in tomllib.loads((HERE / "records.toml").read_text()).items() if isinstance(v, dict)}
+FOLDER = Path(__file__).parent / "psse_records"
+RECORDS = {
+    k: v for k, v in tomllib.loads((FOLDER / "records.toml").read_text()).items() if isinstance(v, dict)
+}
 
 QUICK = ("GENROU", "GENSAL", "ESAC1A", "PSS2B")
 
@@ -35,7 +37,7 @@ def test_the_plant_follows_psse(name):
     within 3.6e-4 (that of PSS2B, without a switch: 4.0e-4); with a lag of 2 ms, within 3.9e-3.
     """
     record = RECORDS[name]
-    case = import_psse(HERE / record["raw"], HERE / record["dyr"]).case
+    case = import_psse(FOLDER / record["raw"], FOLDER / record["dyr"]).case
     machine = next(m for m in case.machines if str(m.bus) == record["column"].split("_")[1])
     if "reference" in record:
         point = operating_point(case)
@@ -51,15 +53,15 @@ def test_the_plant_follows_psse(name):
         values = np.degrees(states[:, plant.state_names.index(f"{machine.name}.delta")])
     else:
         values = outputs[:, plant.output_names.index(f"{machine.name}_vt")]
-    wanted = np.array(record["value"])
-    error = np.abs(np.interp(record["time_s"], times, values) - wanted)
-    assert error[0] < 5e-5 * max(1.0, abs(wanted[0]))  # the start, digit for digit as printed
-    assert error.max() < (1e-3 if name == "PSS2C" else 2e-3) * np.ptp(wanted)
+    expected = np.array(record["value"])
+    error = np.abs(np.interp(record["time_s"], times, values) - expected)
+    assert error[0] < 5e-5 * max(1.0, abs(expected[0]))  # the start, digit for digit as printed
+    assert error.max() < (1e-3 if name == "PSS2C" else 2e-3) * np.ptp(expected)
 
 
 def test_pss2c_remembers_between_its_thresholds_whether_it_is_on() -> None:
     """On above 0.895 pu, off below 0.885, between them as before; off it gives nothing."""
-    (record,) = [r for r in read_dyr(HERE / "OMIB_PSS2C.dyr").records if r.model == "PSS2C"]
+    (record,) = [r for r in read_dyr(FOLDER / "OMIB_PSS2C.dyr").records if r.model == "PSS2C"]
     result = device_for_dyr(record)
     inputs = {"slip": 0.0, "pe": 0.9, "vt": 1.0, "vd": 0.6, "vq": 0.8, "pm": 0.9}
     rest = rest_of(result.model, dict(result.parameters) | {MBASE: 100.0, FBASE: 60.0}, inputs, None, "x")

@@ -138,7 +138,7 @@ def test_st8c_follows_a_second_writing(done: str, source: float) -> None:
         max_step=0.002,
     )
     ours = np.array([point.instance.run(x, seen(t))[0]["efd"] for t, x in zip(times, run.y.T, strict=True)])
-    wanted = written_again(p, done, stop, h, every)
-    assert np.ptp(wanted) > 0.5
-    error = np.abs(ours - wanted).max() / np.ptp(wanted)
+    expected = written_again(p, done, stop, h, every)
+    assert np.ptp(expected) > 0.5
+    error = np.abs(ours - expected).max() / np.ptp(expected)
     assert error < (3.5e-3 if done in ("a fault", "a voltage that stays high") else 5e-5)

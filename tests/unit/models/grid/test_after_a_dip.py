@@ -125,14 +125,14 @@ def block_diagram(time_s, volts, first, p):
         goes_on = not dip and since < abs(p["Thld"])
         added = by_voltage if dip or (goes_on and p["Thld"] < 0.0) else p["Iqfrz"] if goes_on else 0.0
         table = np.interp(vm, [p["Vp1"], p["Vp2"]], [p["Ip1"], p["Ip2"]]) if "Vp1" in p else 99.0
-        wanted, active, most = iql + added, pord / max(vm, 0.01), p["Imax"]
+        expected, active, most = iql + added, pord / max(vm, 0.01), p["Imax"]
         if p["PQFLAG"]:
             limit = min(table, most)
             used = kept if kept is not None else limit
             ip = np.clip(active, 0.0, used)
             left = np.sqrt(most**2 - ip**2)
-            return ip, np.clip(wanted, -left, left), limit
-        iq = np.clip(wanted, -most, most)
+            return ip, np.clip(expected, -left, left), limit
+        iq = np.clip(expected, -most, most)
         limit = min(table, np.sqrt(most**2 - iq**2))
         return np.clip(active, 0.0, kept if kept is not None else limit), iq, limit
 
@@ -173,11 +173,11 @@ def test_it_follows_the_block_diagram(name):
     more, other = HOLDS[name]
     time_s, volts, own = run(with_converter(**more))
     first = {n: course[0] for n, course in own.items()}
-    wanted, elsewhere = (block_diagram(time_s, volts, first, p) for p in (more, more | other))
-    print({n: np.max(np.abs(own[n] - wanted[n])) for n in wanted})
+    expected, elsewhere = (block_diagram(time_s, volts, first, p) for p in (more, more | other))
+    print({n: np.max(np.abs(own[n] - expected[n])) for n in expected})
     for n in ("ip", "iq"):
-        assert own[n] == pytest.approx(wanted[n], abs=3e-3), n
-    assert max(np.max(np.abs(elsewhere[n] - wanted[n])) for n in ("ip", "iq")) > 0.02
+        assert own[n] == pytest.approx(expected[n], abs=3e-3), n
+    assert max(np.max(np.abs(elsewhere[n] - expected[n])) for n in ("ip", "iq")) > 0.02
 
 
 def test_the_sparse_blocks_have_its_state_matrix():

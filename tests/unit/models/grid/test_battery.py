@@ -103,13 +103,13 @@ def test_at_its_ends_it_gives_or_takes_nothing_as_in_the_block_diagram(p_mod, en
     """Empty, its active current may only be below 0, full only above: against another writing of it."""
     more = {"Tsoc": 4.0, "SOCini": 0.5}
     time_s, volts, states, p = run(with_battery(**more), 6.0, p_mod)
-    wanted = block_diagram(time_s, volts, p_mod, STORE | more)
+    expected = block_diagram(time_s, volts, p_mod, STORE | more)
     reached = np.flatnonzero(states["soc"] <= STORE[end] if end == "SOCmin" else states["soc"] >= STORE[end])
     assert 500 < reached[0] < 2000
     for name in ("pord", "ip", "soc"):
         before = np.arange(len(time_s)) < reached[0] - 2
-        assert states[name][before] == pytest.approx(wanted[name][before], abs=2e-5), name
-    assert states["soc"] == pytest.approx(wanted["soc"], abs=5e-4)
+        assert states[name][before] == pytest.approx(expected[name][before], abs=2e-5), name
+    assert states["soc"] == pytest.approx(expected["soc"], abs=5e-4)
     assert np.max(np.abs(p[reached[0] + 100 :])) < 2e-3
 
 
@@ -121,8 +121,8 @@ def test_an_empty_battery_takes_charge_and_a_full_one_gives_it(soc, least, most,
     x, at = plant.x.copy(), {n.removeprefix("b1."): k for k, n in enumerate(plant.state_names)}
     x[at["soc"]], x[at["pord"]] = soc, order
     rates, y = plant.derivatives(x)
-    wanted = np.clip(order / x[at["vm"]], least, most)
-    assert rates[at["ip"]] == pytest.approx((wanted - x[at["ip"]]) / 0.02, rel=1e-12)
+    expected = np.clip(order / x[at["vm"]], least, most)
+    assert rates[at["ip"]] == pytest.approx((expected - x[at["ip"]]) / 0.02, rel=1e-12)
     p = y[plant.output_names.index("b1.p")] / SHARE
     between = 0.2 < soc < 0.8
     assert rates[at["soc"]] == pytest.approx(((0.5 if between else 0.0) - p) / 3600.0, abs=1e-14)

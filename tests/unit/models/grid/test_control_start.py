@@ -47,8 +47,8 @@ def test_released_limits_lie_a_tenth_beyond_and_only_where_needed():
     case, changed = release_limits(TIGHT)
     limits = {m.name: m.exciter.parameters["Efd_max"] for m in case.machines}
     for k, machine in enumerate(GRID.machines):
-        wanted = 1.1 * FIELD[k] if machine.name in ("G3", "G6") else 5.0
-        assert limits[machine.name] == pytest.approx(wanted, rel=1e-9)
+        expected = 1.1 * FIELD[k] if machine.name in ("G3", "G6") else 5.0
+        assert limits[machine.name] == pytest.approx(expected, rel=1e-9)
     assert [line.split(":")[0] for line in changed] == ["G3.exciter.Efd_max", "G6.exciter.Efd_max"]
     assert not start_of(case).unrest
     assert release_limits(GRID) == (GRID, ())

@@ -221,8 +221,8 @@ def test_the_sparse_blocks_have_its_state_matrix(base):
     from interarea.design.linear.resolvent import Shifted
 
     right = np.ones(len(A))
-    wanted = np.linalg.solve(s * np.eye(len(A)) - A, right)
-    assert np.max(np.abs(Shifted(blocks, s).solve(right) - wanted)) < 1e-8 * np.max(np.abs(wanted))
+    expected = np.linalg.solve(s * np.eye(len(A)) - A, right)
+    assert np.max(np.abs(Shifted(blocks, s).solve(right) - expected)) < 1e-8 * np.max(np.abs(expected))
 
 
 @pytest.mark.parametrize(

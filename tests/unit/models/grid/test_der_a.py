@@ -145,10 +145,10 @@ def block_diagram(case, times, V, **changed):
             active = np.clip(active, max(least, -left), left)
         rise = (mult * active - ip) / p["Tg"]
         measured = u * ip if p["FreqFlag"] else pord
-        wanted = (pm * Q / P if p["PfFlag"] else Q) / max(vm, 0.01)
+        expected = (pm * Q / P if p["PfFlag"] else Q) / max(vm, 0.01)
         rise = min(rise, p["rrpwr"]) if P > 0 else max(rise, -p["rrpwr"])
         slopes = [(u - vm) / p["Trv"], (measured - pm) / p["Tp"], (theta - x) / p["Trf"]]
-        slopes += [(share - mult) / p["Tv"], (wanted - iql) / p["Tiq"], (mult * reactive - iq) / p["Tg"]]
+        slopes += [(share - mult) / p["Tv"], (expected - iql) / p["Tiq"], (mult * reactive - iq) / p["Tg"]]
         slopes += [0.0 if outwards or not p["FreqFlag"] else p["Kig"] * error, given, rise]
         return np.array(slopes)
 

@@ -79,20 +79,20 @@ def test_its_poles_are_those_by_hand(name):
     A = plant.jacobians()[0][np.ix_(at, at)]
     P, D, H = 0.5, 0.5, 4.0
     if name == "one":
-        wanted = np.array([[(-P + P - D) / (2 * H)]])
+        expected = np.array([[(-P + P - D) / (2 * H)]])
     else:
         Ht, Ds = 0.85 * H, 1.5
         Hg, K = H - Ht, 2 * (2 * np.pi * 1.6) ** 2 * Ht * (H - Ht) / H
-        wanted = np.array(  # of tsh, wg, wt
+        expected = np.array(  # of tsh, wg, wt
             [
                 [0.0, -K, K],
                 [1 / (2 * Hg), (-Ds + P - D) / (2 * Hg), Ds / (2 * Hg)],
                 [-1 / (2 * Ht), Ds / (2 * Ht), (-Ds - P) / (2 * Ht)],
             ]
         )
-        fast = max(np.abs(np.linalg.eigvals(wanted).imag)) / (2 * np.pi)
+        fast = max(np.abs(np.linalg.eigvals(expected).imag)) / (2 * np.pi)
         assert fast == pytest.approx(1.6, rel=0.02)  # Freq1, but for the damping
-    assert np.max(np.abs(A - wanted)) < 1e-9
+    assert np.max(np.abs(A - expected)) < 1e-9
 
 
 def test_with_pflag_the_order_of_power_follows_the_speed():

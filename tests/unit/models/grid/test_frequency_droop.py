@@ -77,8 +77,8 @@ def test_a_step_of_load_is_shared_by_the_droops(step, more):
     gain = parameters["plant_Dup" if step > 0.0 else "plant_Ddn"]
     band = parameters.get("plant_fdbd2", 0.0)
     of_plant = gain * PLANT / 100.0
-    wanted = -np.sign(step) * (abs(step) + of_plant * band) / (MACHINE / 100.0 / R + of_plant)
-    assert df == pytest.approx(wanted, rel=1e-5)
+    expected = -np.sign(step) * (abs(step) + of_plant * band) / (MACHINE / 100.0 / R + of_plant)
+    assert df == pytest.approx(expected, rel=1e-5)
     given = y[-1, plant.output_names.index("pv1.p")] - y[0, plant.output_names.index("pv1.p")]
     assert given == pytest.approx(-of_plant * np.sign(df) * (abs(df) - band), abs=1e-6)
 
@@ -92,8 +92,8 @@ def test_the_linear_model_has_the_droop_where_it_acts_at_rest(more, acts):
     B = model.B[:, plant.input_names.index("pv1_p_mod")]
     slow = np.linalg.solve(1e-6 * np.eye(len(B)) - model.A, B)  # the common angle has no rest
     own = 20.0 * PLANT / 100.0 if acts else 0.0
-    wanted = (PLANT / 100.0) / (MACHINE / 100.0 / R + own)
-    assert slow[plant.state_names.index("G1.slip")] == pytest.approx(wanted, rel=1e-4)
+    expected = (PLANT / 100.0) / (MACHINE / 100.0 / R + own)
+    assert slow[plant.state_names.index("G1.slip")] == pytest.approx(expected, rel=1e-4)
 
 
 @pytest.mark.parametrize(("network", "base"), [("dense", "two-area-thesis"), ("sparse", "kundur-manual")])

@@ -227,11 +227,11 @@ def test_it_follows_the_block_diagram_beyond_the_limits_of_p_and_q():
     case = alone(Pmax=0.7, Qmax=0.3, Imax=0.0, kiqmax=5.0, kpqmax=0.5)
     time_s, states, _ = run(case, 3.0, p_mod=0.6, q_mod=0.3)
     first = {name: course[0] for name, course in states.items()}
-    wanted = block_diagram(case, first, 3.0, time_s, p_mod=0.6, q_mod=0.3)
+    expected = block_diagram(case, first, 3.0, time_s, p_mod=0.6, q_mod=0.3)
     assert np.max(states["pf"]) > 0.75
     assert np.min(states["xqmax"]) < -0.05
     for name in ORDER:
-        assert states[name] == pytest.approx(wanted[name], abs=5e-4), name
+        assert states[name] == pytest.approx(expected[name], abs=5e-4), name
 
 
 def test_at_rest_beyond_its_limits_it_gives_pmax_and_qmax():
@@ -269,9 +269,11 @@ def test_a_fault_meets_the_current_limit_as_in_the_block_diagram():
     assert np.angle(free[limited] / current[limited]) == pytest.approx(0.0, abs=1e-9)
     after = time_s > 0.2
     assert current[after] == pytest.approx(free[after], abs=1e-9)
-    wanted = block_diagram(case, {n: c[0] for n, c in states.items()}, 0.6, time_s, fault=(0.05, 0.15, 0.02))
+    expected = block_diagram(
+        case, {n: c[0] for n, c in states.items()}, 0.6, time_s, fault=(0.05, 0.15, 0.02)
+    )
     for name in ("pf", "qf", "vf", "delta", "e"):
-        assert states[name] == pytest.approx(wanted[name], abs=3e-3), name
+        assert states[name] == pytest.approx(expected[name], abs=3e-3), name
 
 
 @pytest.mark.parametrize("Imax", [1.0, 0.0])

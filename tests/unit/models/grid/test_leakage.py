@@ -83,9 +83,9 @@ def test_the_equations_are_those_of_a_circuit_that_stores_positive_energy() -> N
     A = np.array([derivatives(rest + 1e-30j * e, E, Xe, field, point.pm).imag for e in np.eye(6)]).T / 1e-30
     plant = BlockShim(plant_block(case))
     own = [k for k, name in enumerate(plant.state_names) if name.startswith("A.")]
-    got, wanted = np.linalg.eigvals(plant.jacobians()[0][np.ix_(own, own)]), np.linalg.eigvals(A)
-    np.testing.assert_allclose(np.sort_complex(got), np.sort_complex(wanted), rtol=1e-9)
-    assert wanted.real.max() < 0.0
+    got, expected = np.linalg.eigvals(plant.jacobians()[0][np.ix_(own, own)]), np.linalg.eigvals(A)
+    np.testing.assert_allclose(np.sort_complex(got), np.sort_complex(expected), rtol=1e-9)
+    assert expected.real.max() < 0.0
     assert D.damper < 0.0 and min(np.linalg.eigvalsh(c.L).min() for c in (D, Q)) > 0.0
 
 

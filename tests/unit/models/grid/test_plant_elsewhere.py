@@ -93,12 +93,12 @@ def test_off_rest_it_measures_what_the_voltages_of_the_buses_give(name, network)
         volt, less, power = seen(case, voltages(case, y, at))
         p = case.converters[0].control.parameters
         if p.get("plant_REFFLAG"):
-            wanted = (
+            expected = (
                 less
                 if p.get("plant_VCFLAG")
                 else volt + (p.get("plant_Kc", 0.0) * power.imag if power else 0)
             )
-            assert x[state["rv"]] + 0.02 * rates[state["rv"]] == pytest.approx(wanted, abs=1e-10)
+            assert x[state["rv"]] + 0.02 * rates[state["rv"]] == pytest.approx(expected, abs=1e-10)
         else:
             assert x[state["rq"]] + 0.02 * rates[state["rq"]] == pytest.approx(power.imag, abs=1e-10)
             assert x[state["rp"]] + 0.25 * rates[state["rp"]] == pytest.approx(power.real, abs=1e-10)
@@ -143,8 +143,8 @@ def test_once_the_branch_is_out_its_flow_is_zero():
     time_s, own, _ = run(case, 3.0, [{"kind": "branch_trip", "branch": "7-8 a", "start_s": 0.5}])
     falls = time_s > 0.5
     for name, T in (("rp", 0.25), ("rq", 0.02)):
-        wanted = own[name][falls][0] * np.exp(-(time_s[falls] - time_s[falls][0]) / T)
-        assert own[name][falls] == pytest.approx(wanted, abs=1e-6)
+        expected = own[name][falls][0] * np.exp(-(time_s[falls] - time_s[falls][0]) / T)
+        assert own[name][falls] == pytest.approx(expected, abs=1e-6)
     assert abs(own["rp"][0]) > 0.2
 
 

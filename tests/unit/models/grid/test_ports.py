@@ -228,8 +228,8 @@ def test_load_step_is_more_of_the_same_load():
     plant = started(case, more)
     plant.derivatives(plant.x)
     stepped = case.with_changes({"loads": {"L7": {"P_mw": 1067.0, "Q_mvar": 120.0}}})
-    wanted = solved_with_rest_of(case, stepped, plant)
-    np.testing.assert_allclose(plant.w[: len(case.buses)], np.abs(wanted), atol=1e-9)
+    expected = solved_with_rest_of(case, stepped, plant)
+    np.testing.assert_allclose(plant.w[: len(case.buses)], np.abs(expected), atol=1e-9)
 
 
 def solved_with_rest_of(case: Case, stepped: Case, plant: BlockShim) -> np.ndarray:

@@ -48,8 +48,8 @@ def test_its_power_is_that_of_a_voltage_behind_its_impedance():
     z, u = complex(0.01, 0.2), y[:, plant.output_names.index("bus8.v")]
     E = z * (x[:, at["ip"]] - 1j * x[:, at["iq"]])
     S = SHARE * u * np.conj((E - u) / z)
-    for part, wanted in (("p", S.real), ("q", S.imag)):
-        assert y[:, plant.output_names.index(f"pv1.{part}")] == pytest.approx(wanted, abs=1e-11)
+    for part, expected in (("p", S.real), ("q", S.imag)):
+        assert y[:, plant.output_names.index(f"pv1.{part}")] == pytest.approx(expected, abs=1e-11)
     assert np.ptp(u) > 0.1
 
 
@@ -110,13 +110,13 @@ def test_it_follows_the_block_diagram(more, reaches):
     p = {"RATEFLAG": 0, "Rrpwr": 10.0, "Iqrmax": 999.0, "ICON": 99.0} | BEHIND | more
     time_s, states, _ = course(behind_a_line(BEHIND | more), 0.5, 0.0005, {"p_mod": 0.3, "q_mod": 0.1})
     first = {name: path[0] for name, path in states.items()}
-    wanted = block_diagram(first, time_s, p, 0.3, 0.1)
+    expected = block_diagram(first, time_s, p, 0.3, 0.1)
     for name in ORDER:
         if name in states:
-            assert states[name] == pytest.approx(wanted[name], abs=2e-5), name
+            assert states[name] == pytest.approx(expected[name], abs=2e-5), name
     if reaches:
         other = block_diagram(first, time_s, p | reaches, 0.3, 0.1)
-        assert max(np.max(np.abs(other[name] - wanted[name])) for name in ORDER) > 5e-3
+        assert max(np.max(np.abs(other[name] - expected[name])) for name in ORDER) > 5e-3
 
 
 def test_the_sparse_blocks_have_its_state_matrix():

@@ -66,8 +66,8 @@ def test_its_power_is_that_of_a_voltage_behind_its_impedance(network):
     V = out["bus8.re"] + 1j * out["bus8.im"]
     E = x[:, at["e"]] * np.exp(1j * x[:, at["delta"]])
     S = SHARE * V * np.conj((E - V) / complex(0.01, 0.2))
-    for part, wanted in (("p", S.real), ("q", S.imag)):
-        assert out[f"pv1.{part}"] == pytest.approx(wanted, abs=1e-10)
+    for part, expected in (("p", S.real), ("q", S.imag)):
+        assert out[f"pv1.{part}"] == pytest.approx(expected, abs=1e-10)
     assert np.ptp(np.abs(V)) > 0.1
 
 
@@ -99,9 +99,9 @@ def block_diagram(first, at, p, p_mod, q_mod):
         iqc = np.clip(iql, -most, most)
         ipc = np.clip(pord / vm, 0.0, np.sqrt(most**2 - iqc**2))
         towards = ipc * vf if p["RATEFLAG"] else ipc
-        wanted = ipg / vf if p["RATEFLAG"] else ipg
+        expected = ipg / vf if p["RATEFLAG"] else ipg
         current = (complex(ed, eq) - own) * Y
-        error_p, error_q = wanted - current.real, iqg + current.imag
+        error_p, error_q = expected - current.real, iqg + current.imag
         given = complex(p["Kip"] * error_p + xp, -(p["Kip"] * error_q + xq))
         target = own + z * given
         w = p["Kppll"] * own.imag + xw
@@ -148,13 +148,13 @@ def test_it_follows_the_block_diagram(more, reaches):
     first = {name: path[0] for name, path in states.items()}
     turned = states["e"] * np.exp(1j * (states["delta"] - states["theta"]))
     states |= {"ed": turned.real, "eq": turned.imag}
-    wanted = block_diagram(first, time_s, p, 0.3, 0.1)
+    expected = block_diagram(first, time_s, p, 0.3, 0.1)
     for name in ORDER:
         if name in states:
             scale = 10.0 if name == "wpll" else 1.0  # rad/s
-            assert states[name] == pytest.approx(wanted[name], abs=2e-5 * scale), name
+            assert states[name] == pytest.approx(expected[name], abs=2e-5 * scale), name
     other = block_diagram(first, time_s, p | reaches, 0.3, 0.1)
-    assert max(np.max(np.abs(other[name] - wanted[name])) for name in ORDER) > 5e-3
+    assert max(np.max(np.abs(other[name] - expected[name])) for name in ORDER) > 5e-3
 
 
 def test_the_sparse_blocks_have_its_state_matrix():

@@ -94,8 +94,8 @@ def test_at_any_reactance_the_plant_is_that_of_such_a_line(network, x):
 def check_same(plant, y, other, expected):
     """Both show the same, to what the ports are solved to."""
     for name in other.output_names:
-        own, wanted = y[plant.output_names.index(name)], expected[other.output_names.index(name)]
-        assert own == pytest.approx(wanted, abs=1e-11), name
+        own, reference = y[plant.output_names.index(name)], expected[other.output_names.index(name)]
+        assert own == pytest.approx(reference, abs=1e-11), name
 
 
 @pytest.mark.parametrize("network", ["dense", "sparse"])
@@ -155,8 +155,8 @@ def test_a_trip_of_its_line_is_that_of_any_line(network):
         runs.append((plant, plant.run(0.3, 0.002)[2]))
     (plant, y), (other, expected) = runs
     for name in other.output_names:
-        own, wanted = y[:, plant.output_names.index(name)], expected[:, other.output_names.index(name)]
-        assert np.max(np.abs(own - wanted)) < 1e-9, name
+        own, reference = y[:, plant.output_names.index(name)], expected[:, other.output_names.index(name)]
+        assert np.max(np.abs(own - reference)) < 1e-9, name
     assert np.ptp(expected[:, other.output_names.index("bus8.v")]) > 0.01
 
 

@@ -74,9 +74,9 @@ def check_agreement(case: Case, *events: dict, iterated: float = 1e-12) -> None:
     dense, *others = shims(case, *events)
     x = dense.x + 0.02 * np.random.default_rng(3).standard_normal(len(dense.x))
     v = np.random.default_rng(4).standard_normal(len(dense.x) + len(dense.u))
-    wanted, slopes = dense.derivatives(x), dense.directional(v[: len(x)], v[len(x) :], x)
+    expected, slopes = dense.derivatives(x), dense.directional(v[: len(x)], v[len(x) :], x)
     for plant in others:
-        for one, other in zip(wanted, plant.derivatives(x), strict=True):
+        for one, other in zip(expected, plant.derivatives(x), strict=True):
             np.testing.assert_allclose(other, one, rtol=0, atol=iterated * (1.0 + np.abs(one).max()))
         np.testing.assert_allclose(plant.w, dense.w, rtol=0, atol=iterated * dense.w.max())
         for a, b in zip(slopes, plant.directional(v[: len(x)], v[len(x) :], x), strict=True):

@@ -235,17 +235,17 @@ STATES = ("dwpll", "theta", "pf", "qf", "dwm", "wash", "dimax", "dimin", "delta"
 def both(case, seconds, events=(), fault=None, step_s=0.0005, **inputs):
     time_s, states, y = run(case, seconds, events, step_s, **inputs)
     second = Second(case, fault, **inputs)
-    wanted = second.run([states[n][0] for n in STATES], seconds, step_s / 5)
-    return time_s, states, y, {n: wanted[m][::5] for n, m in zip(STATES, Second.ORDER, strict=True)}
+    expected = second.run([states[n][0] for n in STATES], seconds, step_s / 5)
+    return time_s, states, y, {n: expected[m][::5] for n, m in zip(STATES, Second.ORDER, strict=True)}
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("more", [{}, {"wFlag": 1, "Re": 0.02, "mq": 0.1, "D1": 5.0, "D2": 20.0}])
 def test_it_follows_the_diagram_within_its_limits(more):
-    _, states, _, wanted = both(alone(**more), 1.5, p_mod=0.1, q_mod=0.01)
+    _, states, _, expected = both(alone(**more), 1.5, p_mod=0.1, q_mod=0.01)
     assert np.ptp(states["dwm"]) > 3e-4
     for name in STATES:
-        assert states[name] == pytest.approx(wanted[name], abs=2e-5), name
+        assert states[name] == pytest.approx(expected[name], abs=2e-5), name
 
 
 FAULT = {"kind": "bus_fault", "bus": 1, "start_s": 0.05, "end_s": 0.15, "x_pu": 0.05}
@@ -256,13 +256,13 @@ SHORT = 0.00125  #: s, Te: what follows a limit that moves is late by it, which 
 def test_a_fault_meets_the_limits_as_in_the_diagram():
     """Emax falls with the voltage, so E follows it by Te: its error is Te times how fast that limit moves."""
     case = alone(Te=SHORT)
-    time_s, states, y, wanted = both(case, 0.8, [FAULT], (0.05, 0.15, 0.05))
+    time_s, states, y, expected = both(case, 0.8, [FAULT], (0.05, 0.15, 0.05))
     assert np.min(states["e"]) < 0.4
     for name, most in {"theta": 1e-3, "delta": 1e-3, "pf": 2e-3, "qf": 5e-3, "dwm": 5e-5, "e": 5e-2}.items():
-        assert states[name] == pytest.approx(wanted[name], abs=most), name
+        assert states[name] == pytest.approx(expected[name], abs=most), name
     after = time_s > 0.3
     for name in STATES:
-        assert states[name][after] == pytest.approx(wanted[name][after], abs=1e-3), name
+        assert states[name][after] == pytest.approx(expected[name][after], abs=1e-3), name
     V = y["bus1.re"] + 1j * y["bus1.im"]
     current = np.conj((y["gfm1.p"] + 1j * y["gfm1.q"]) / V)
     free = (states["e"] * np.exp(1j * states["delta"]) - V) / 0.15j
@@ -276,10 +276,10 @@ def test_a_fault_meets_the_limits_as_in_the_diagram():
 def test_the_angle_to_the_pll_stays_within_a_limit_that_moves():
     """p_mod asks for 1.2 of a steady limit of .9: the largest angle moves in until the current fits."""
     case = alone(P_mw=80.0, Te=SHORT)
-    _, states, _, wanted = both(case, 1.2, p_mod=0.4)
+    _, states, _, expected = both(case, 1.2, p_mod=0.4)
     assert np.min(states["dimax"]) < 0.135
     for name in ("theta", "delta", "dimax", "dwm", "dwpll"):
-        assert states[name] == pytest.approx(wanted[name], abs=1.5e-3), name
+        assert states[name] == pytest.approx(expected[name], abs=1.5e-3), name
     assert np.max(states["delta"] - states["theta"] - states["dimax"]) < 1e-3
 
 

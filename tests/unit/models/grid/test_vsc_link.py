@@ -146,10 +146,10 @@ def test_without_power_the_dc_side_has_the_closed_form_and_the_grid_its_own_mode
     others = np.setdiff1d(np.arange(len(a.A)), own)
     assert [a.state_labels[k] for k in others] == list(b.state_labels)
     values = np.linalg.eigvals(a.A)
-    assert max(np.min(np.abs(values - wanted)) for wanted in np.linalg.eigvals(b.A)) < 1e-8
+    assert max(np.min(np.abs(values - expected)) for expected in np.linalg.eigvals(b.A)) < 1e-8
     u = abs(solve_powerflow(case).voltage(9))
-    for wanted in np.roots([0.06 * 0.01, 0.06, 3.0 * u, 50.0 * u]):
-        assert np.min(np.abs(values - wanted)) < 1e-6
+    for expected in np.roots([0.06 * 0.01, 0.06, 3.0 * u, 50.0 * u]):
+        assert np.min(np.abs(values - expected)) < 1e-6
 
 
 def test_its_input_moves_the_power_within_its_limit():

@@ -69,8 +69,8 @@ def test_the_derivatives_by_its_inputs_are_complex_steps_of_its_device_and_have_
         vu = np.zeros(len(plant.u))
         vu[plant.input_names.index(name)] = 1.0
         rates, outputs = plant.directional(np.zeros(len(plant.x)), vu, plant.x, plant.u)
-        _, wanted = link.rest.instance.run([complex(v) for v in link.rest.states], seen | {signal: 1e-30j})
-        slopes = np.array([complex(v).imag / 1e-30 for v in wanted])
+        _, expected = link.rest.instance.run([complex(v) for v in link.rest.states], seen | {signal: 1e-30j})
+        slopes = np.array([complex(v).imag / 1e-30 for v in expected])
         assert np.max(np.abs(rates[places] - slopes)) < 1e-9 * np.max(np.abs(slopes))
         assert np.count_nonzero(rates) == np.count_nonzero(slopes) > 0
         assert not np.any(outputs)
@@ -150,12 +150,12 @@ def test_at_the_current_limit_the_component_with_priority_has_all_it_asks_for(en
     y, x = moved(case, **{f"vsc1_q_mod_{end}": 1.0})
     ip, iq, u = x[f"vsc1.ip{k + 1}"], x[f"vsc1.iq{k + 1}"], y[f"bus{bus}.v"]
     assert np.hypot(ip, iq) == pytest.approx(1.1, abs=1e-6)
-    wanted = link.Q[k] + 1.0
+    expected = link.Q[k] + 1.0
     if first == "p":
         assert y[f"vsc1.p_{end}"] == pytest.approx(before[f"vsc1.p_{end}"], abs=1e-6)
-        assert y[f"vsc1.q_{end}"] < wanted - 0.05
+        assert y[f"vsc1.q_{end}"] < expected - 0.05
     else:
-        assert y[f"vsc1.q_{end}"] == pytest.approx(wanted, abs=1e-6)
+        assert y[f"vsc1.q_{end}"] == pytest.approx(expected, abs=1e-6)
         assert abs(y[f"vsc1.p_{end}"]) < abs(before[f"vsc1.p_{end}"]) - 0.02
     side: Side = link.ends[k]
     assert u == pytest.approx(side.volts(ip, iq), abs=1e-9)

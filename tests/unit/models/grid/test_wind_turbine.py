@@ -71,8 +71,8 @@ def test_its_slopes_are_those_of_complex_steps(name, network):
     seen = {"vt": u, "p": p, "q": q, "p_mod": 0.0, "q_mod": 0.0, "vr": V[0] / u, "vi": V[1] / u}
     seen |= {"vreg": u, "vdrop": u, "pbr": p, "qbr": q}
     _, rates = instance.run(x[own] + 1j * step * vx[own], seen)
-    wanted = np.imag(rates) / step
-    assert np.max(np.abs(slopes[own] - wanted)) < 1e-9 * np.max(np.abs(wanted))
+    expected = np.imag(rates) / step
+    assert np.max(np.abs(slopes[own] - expected)) < 1e-9 * np.max(np.abs(expected))
 
 
 @pytest.mark.slow
@@ -190,12 +190,12 @@ def test_it_follows_the_block_diagram(name):
     time_s, states, _ = course(behind_a_line(more | DEEP), 4.0, 0.001, {"p_mod": p_mod}, events)
     first = {name: states[name][0] if name in states else 0.0 for name in ORDER}
     p = PUBLISHED | more
-    wanted = block_diagram(first, time_s, p, p_mod, events)
+    expected = block_diagram(first, time_s, p, p_mod, events)
     for key in ORDER:
         if key in states:
-            assert states[key] == pytest.approx(wanted[key], abs=2e-3 if key in ANGLES else 2e-6), key
+            assert states[key] == pytest.approx(expected[key], abs=2e-3 if key in ANGLES else 2e-6), key
     other = block_diagram(first, time_s, p | reaches, p_mod, events)
-    assert max(np.max(np.abs(other[key] - wanted[key])) for key in ORDER) > 5e-3
+    assert max(np.max(np.abs(other[key] - expected[key])) for key in ORDER) > 5e-3
 
 
 @pytest.mark.slow

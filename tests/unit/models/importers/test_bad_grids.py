@@ -87,10 +87,10 @@ IN_RAW = {
 @pytest.mark.slow
 @pytest.mark.parametrize("what", IN_RAW)
 def test_a_mistake_in_a_raw_file(tmp_path: Path, monkeypatch, capsys, what: str) -> None:
-    (old, new), wanted = IN_RAW[what]
+    (old, new), expected = IN_RAW[what]
     assert old in FOUR
     text = FOUR.replace(old, new, 1)
-    assert wanted in printed(tmp_path, monkeypatch, capsys, text.encode(), None)
+    assert expected in printed(tmp_path, monkeypatch, capsys, text.encode(), None)
 
 
 IN_DYR = {
@@ -123,8 +123,8 @@ IN_DYR = {
 
 @pytest.mark.parametrize("what", IN_DYR)
 def test_a_mistake_in_a_dyr_file(tmp_path: Path, monkeypatch, capsys, what: str) -> None:
-    text, wanted = IN_DYR[what]
-    assert wanted in printed(tmp_path, monkeypatch, capsys, RAW.encode(), text)
+    text, expected = IN_DYR[what]
+    assert expected in printed(tmp_path, monkeypatch, capsys, RAW.encode(), text)
 
 
 def test_a_machine_whose_bus_the_grid_does_not_have_is_told_with_its_line(tmp_path: Path) -> None:
@@ -169,7 +169,7 @@ def test_whatever_version_a_file_says_it_is_read_rightly_or_refused_with_its_lin
         return sorted(map(_plain, rows)), file.notes
 
     for version in VERSIONS:
-        wanted = elements(version, version)[0]
+        expected = elements(version, version)[0]
         for said in VERSIONS:
             try:
                 result, notes = elements(version, said)
@@ -179,7 +179,7 @@ def test_whatever_version_a_file_says_it_is_read_rightly_or_refused_with_its_lin
                 if (version, said) not in {(34, 35), (35, 34), (34, 36), (31, 32), (31, 33)}:
                     assert f"says version {said} and is laid out as" in str(error)
                 continue
-            assert result == wanted, (version, said)
+            assert result == expected, (version, said)
             assert bool(notes) == ((version, said) not in {(29, 30), (30, 29), (32, 33)} and version != said)
     assert {version for version, _ in refused} == {31, 34, 35}
 

@@ -195,9 +195,11 @@ def test_an_imported_grid_has_the_linear_plant_of_the_case_it_was_written_from(
     export_toml(copy, tmp_path / "grid.toml")
     read_back = load_case(tmp_path / "grid.toml")
     assert read_back.hash == copy.hash
-    got, wanted = (np.linalg.eigvals(BlockShim(plant_block(c)).jacobians()[0]) for c in (read_back, case))
-    assert len(got) == len(wanted)
-    moving = wanted[abs(wanted) > 1e-2]  # the reference angle's zero is a multiple one, and ill conditioned
+    got, expected = (np.linalg.eigvals(BlockShim(plant_block(c)).jacobians()[0]) for c in (read_back, case))
+    assert len(got) == len(expected)
+    moving = expected[
+        abs(expected) > 1e-2
+    ]  # the reference angle's zero is a multiple one, and ill conditioned
     assert all(np.abs(got - z).min() < 1e-7 * abs(z) for z in moving)
 
 
@@ -420,5 +422,5 @@ def test_export_command_writes_a_variant_that_loads(tmp_path, monkeypatch, capsy
     with pytest.raises(SystemExit) as stopped:
         main()
     assert not stopped.value.code and capsys.readouterr().out.strip() == str(out)
-    wanted = operating_variant(load_case("two-area-thesis"), tie_flow_mw=50.0, out=["8-9 a"])
-    assert load_case(out).hash == wanted.hash and load_case(out).name == wanted.name
+    expected = operating_variant(load_case("two-area-thesis"), tie_flow_mw=50.0, out=["8-9 a"])
+    assert load_case(out).hash == expected.hash and load_case(out).name == expected.name

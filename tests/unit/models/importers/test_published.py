@@ -64,8 +64,8 @@ def wheel(tmp_path, monkeypatch):
 def test_a_published_grid_is_read_like_its_files(wheel, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     imported = import_grid("npcc")
-    wanted = import_psse(RAW, DYR, name="npcc").case
-    assert imported.case.hash == wanted.hash and imported.case.name == "npcc"
+    expected = import_psse(RAW, DYR, name="npcc").case
+    assert imported.case.hash == expected.hash and imported.case.name == "npcc"
     assert "GPL-3.0" in imported.report.text() and "andes/cases/npcc" in imported.case.source
     assert [p.name for p in tmp_path.iterdir()] == [wheel.name]  # nothing is left behind
 
