@@ -70,9 +70,9 @@ def on_tick(value_s: float, what: str) -> float:
     return seconds(to_ticks(value_s, what))
 
 
-def moved(given_s: float, used_s: float) -> bool:
+def moved(requested_s: float, used_s: float) -> bool:
     """Whether a time and what it was taken as differ by more than the rounding of a sum of doubles."""
-    return abs(given_s - used_s) > 4.0 * math.ulp(used_s)
+    return abs(requested_s - used_s) > 4.0 * math.ulp(used_s)
 
 
 class Step(NamedTuple):

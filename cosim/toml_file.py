@@ -9,10 +9,10 @@ from typing import Any
 from interarea.models.documents import DocumentError, other_kind, parse_toml, read_document
 
 
-def read_toml(path: Path, wanted: str, error: type[Exception]) -> dict[str, Any]:
+def read_toml(path: Path, kind: str, error: type[Exception]) -> dict[str, Any]:
     """Return the tables of a file.
 
-    wanted : "scenario", "sweep", "study" or "design", for who gives a file of another kind.
+    kind : "scenario", "sweep", "study" or "design", for who gives a file of another kind.
 
     Raises
     ------
@@ -20,19 +20,19 @@ def read_toml(path: Path, wanted: str, error: type[Exception]) -> dict[str, Any]
         names the file. OSError : it cannot be read.
     """
     try:
-        content = read_document(path, f"a {wanted} file")
+        content = read_document(path, f"a {kind} file")
     except DocumentError as fault:
         raise error(str(fault)) from None
     if content.startswith(b"PK\x03\x04"):
         raise error(
             f"{path}: is not TOML but an archive, such as an FMU or SSP (`interarea check`), "
-            f"wanted: a {wanted} file"
+            f"wanted: a {kind} file"
         )
     try:
         table = parse_toml(content)
     except DocumentError as fault:
         raise error(f"{path}: {fault}") from None
-    other = other_kind(table, wanted)
+    other = other_kind(table, kind)
     if other is not None:
         raise error(f"{path}: {other}")
     return table

@@ -50,7 +50,7 @@ def check_words(command: Any, words: Sequence[str]) -> None:
     for before, word in zip(["", *words], words, strict=False):
         if word == "" or (word.startswith("--") and word.endswith("=")):  # as a path: the current folder
             option = word.removesuffix("=") or (before if before.startswith("-") else "an argument")
-            raise UsageMistake(f"{command.name}: {option} is empty, allowed: {_wanted(command, option)}")
+            raise UsageMistake(f"{command.name}: {option} is empty, allowed: {_expected(command, option)}")
     options = _options(command)
     for before, word in pairwise(words):
         if before == "--":
@@ -59,17 +59,17 @@ def check_words(command: Any, words: Sequence[str]) -> None:
         if taken is not None and not taken.is_flag and word.partition("=")[0] in options:
             raise UsageMistake(
                 f"{command.name}: {before} has no value, it is followed by the option {word}, wanted: "
-                f"{_wanted(command, before)}"
+                f"{_expected(command, before)}"
             )
 
 
-def check_numbers(command: Any, given: dict[str, Any]) -> None:
+def check_numbers(command: Any, values: dict[str, Any]) -> None:
     """Require that every number of an option is finite and at most `LARGEST` in magnitude.
 
     Raises UsageMistake.
     """
     for parameter in command.params:
-        value = given.get(parameter.name)
+        value = values.get(parameter.name)
         if isinstance(value, float) and not abs(value) <= LARGEST:
             raise UsageMistake(
                 f"{command.name}: {_shown(parameter)}: got {value:g}, allowed: a finite number, at most "
@@ -154,7 +154,9 @@ def mistake(error: Any, words: Sequence[str], command: Any = None) -> UsageMista
         return UsageMistake(f"{name}: {_too_many(command, words, error)}")
     parameter = getattr(error, "param", None)
     if hasattr(error, "param_type"):  # one that is missing
-        return UsageMistake(f"{name}: {_shown(parameter)} is missing, wanted: {_wanted(command, parameter)}")
+        return UsageMistake(
+            f"{name}: {_shown(parameter)} is missing, wanted: {_expected(command, parameter)}"
+        )
     where = f"{_shown(parameter)}: " if parameter is not None else ""
     return UsageMistake(f"{name}: {where}{_wrong_value(error, words)}")
 
@@ -192,7 +194,7 @@ def _nearest(word: str, known: Iterable[str]) -> str:
 def _without_value(error: Any, command: Any) -> str:
     if "does not take a value" in error.message:
         return f"{error.option_name} takes no value, wanted: {error.option_name} alone"
-    return f"{error.option_name} has no value, wanted: {_wanted(command, error.option_name)}"
+    return f"{error.option_name} has no value, wanted: {_expected(command, error.option_name)}"
 
 
 def _too_many(command: Any, words: Sequence[str], error: Any) -> str:
@@ -208,16 +210,16 @@ def _too_many(command: Any, words: Sequence[str], error: Any) -> str:
 
 def _wrong_value(error: Any, words: Sequence[str]) -> str:
     """Return the value read and the allowed values of an option, if its message lacks the former."""
-    wanted = error.message.removeprefix("Input should be ")
-    if wanted == error.message or getattr(error, "param", None) is None:
+    expected = error.message.removeprefix("Input should be ")
+    if expected == error.message or getattr(error, "param", None) is None:
         return str(error.message)
     got = [after for before, after in pairwise(words) if before in error.param.opts]
     got += [w.partition("=")[2] for w in words if w.partition("=")[0] in error.param.opts and "=" in w]
     for said, number in _NUMBERS.items():
-        if wanted.startswith(said):
-            wanted = number
-    wanted = wanted.replace("greater than or equal to", "at least")
-    return f"got {got[-1] if got else 'another'}, allowed: {wanted}{_purpose(error.param)}"
+        if expected.startswith(said):
+            expected = number
+    expected = expected.replace("greater than or equal to", "at least")
+    return f"got {got[-1] if got else 'another'}, allowed: {expected}{_purpose(error.param)}"
 
 
 def _shown(parameter: Any) -> str:
@@ -232,7 +234,7 @@ def _purpose(parameter: Any) -> str:
     return f" ({parameter.help})" if getattr(parameter, "help", None) else ""
 
 
-def _wanted(command: Any, which: Any) -> str:
+def _expected(command: Any, which: Any) -> str:
     """Return the accepted values of a parameter (object or name), and the command's example."""
     parameter = which
     if isinstance(which, str):

@@ -166,10 +166,10 @@ def _delayed(loop: SystemLike, latency_s: float | Sequence[float], sign: int) ->
         )
     if sign not in (-1, 1):
         raise DelayError(f"sign = {sign!r}, allowed: -1 (u = -y) or 1 (u = +y)")
-    given = np.asarray(latency_s, dtype=float)
-    if given.ndim and given.shape != (G.noutputs,):
+    latencies = np.asarray(latency_s, dtype=float)
+    if latencies.ndim and latencies.shape != (G.noutputs,):
         raise DelayError(f"latency_s = {latency_s!r}, allowed: one, or one of each of {G.noutputs} outputs")
-    delays = np.broadcast_to(given, (G.noutputs,))
+    delays = np.broadcast_to(latencies, (G.noutputs,))
     if not np.all((delays >= 0.0) & np.isfinite(delays)):
         raise DelayError(f"latency_s = {latency_s!r}, allowed: 0 s or more")
     channels = [DelayedChannel(f"y{k + 1}", float(t), sign * G.B[:, k], G.C[k]) for k, t in enumerate(delays)]

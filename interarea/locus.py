@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 CONTROLLER_KEYS = ("controller.gain", "controller.latency_s")
 MOST_POINTS = 1000
 POINTS = 21
-_WANTED = "KEY=FROM:TO or KEY=FROM:TO:POINTS, such as machines.G1.exciter.KA=50:300 or controller.gain=0:2"
+_EXPECTED = "KEY=FROM:TO or KEY=FROM:TO:POINTS, such as machines.G1.exciter.KA=50:300 or controller.gain=0:2"
 
 
 class LocusError(UserError):
@@ -39,9 +39,9 @@ def along_of(text: str) -> tuple[str, list[float]]:
         low, high = (float(part) for part in parts[:2])
         points = int(parts[2]) if len(parts) == 3 else POINTS
     except ValueError:
-        raise LocusError(f"--along {text!r}, wanted {_WANTED}") from None
+        raise LocusError(f"--along {text!r}, wanted {_EXPECTED}") from None
     if not sign or not key or len(parts) > 3:
-        raise LocusError(f"--along {text!r}, wanted {_WANTED}")
+        raise LocusError(f"--along {text!r}, wanted {_EXPECTED}")
     if not (np.isfinite([low, high]).all() and low != high and 2 <= points <= MOST_POINTS):
         raise LocusError(f"--along {text!r}: allowed: two different numbers, 2 to {MOST_POINTS} points")
     return key, [float(value) for value in np.linspace(low, high, points)]

@@ -28,8 +28,8 @@ def bundled(kind: str) -> dict[str, Path]:
     return {path.name.partition(".")[0].removeprefix(prefix): path for path in files}
 
 
-def bundled_elsewhere(name: str, wanted: str) -> str | None:
-    """Return what a name that is no bundled `wanted` is, as the end of a sentence about it; None of no other.
+def bundled_elsewhere(name: str, expected: str) -> str | None:
+    """Return what a name that is no bundled `expected` file is, as the end of a sentence; None: nothing else.
 
     >>> bundled_elsewhere("two-area-thesis", "scenario")
     'is a bundled case (`interarea modes two-area-thesis`), wanted: a scenario'
@@ -37,8 +37,8 @@ def bundled_elsewhere(name: str, wanted: str) -> str | None:
     True
     """
     for kind, (_, command) in _KINDS.items():
-        if kind != wanted and name in bundled(kind):
-            return f"is a bundled {kind} (`{command.format(name)}`), wanted: a {wanted}"
+        if kind != expected and name in bundled(kind):
+            return f"is a bundled {kind} (`{command.format(name)}`), wanted: a {expected}"
     return None
 
 

@@ -35,10 +35,10 @@ class DocumentError(UserError):
     """A text that is no TOML or JSON, or that has a number which none can be."""
 
 
-def read_document(path: Path, wanted: str) -> bytes:
+def read_document(path: Path, expected: str) -> bytes:
     """Return the bytes of a file of the user's: a regular one, for a device or pipe may never end.
 
-    wanted : what the file should be, with its article ("a scenario file").
+    expected : what the file should be, with its article ("a scenario file").
 
     Raises
     ------
@@ -49,19 +49,19 @@ def read_document(path: Path, wanted: str) -> bytes:
     Traceback (most recent call last):
     interarea.models.documents.DocumentError: /dev/zero: is no regular file, wanted: a scenario file
     """
-    require_regular(path, wanted)
+    require_regular(path, expected)
     try:
         with path.open("rb") as file:
             content = file.read(LARGEST_DOCUMENT + 1)
     except FileNotFoundError:
-        raise DocumentError(f"{path}: no such file, wanted: {wanted}") from None
+        raise DocumentError(f"{path}: no such file, wanted: {expected}") from None
     if len(content) > LARGEST_DOCUMENT:
-        raise DocumentError(f"{path}: more than {LARGEST_DOCUMENT >> 20} MiB, allowed: less for {wanted}")
+        raise DocumentError(f"{path}: more than {LARGEST_DOCUMENT >> 20} MiB, allowed: less for {expected}")
     return content
 
 
 def require_regular(
-    path: Path, wanted: str, error: type[UserError] = DocumentError, *, key: str = ""
+    path: Path, expected: str, error: type[UserError] = DocumentError, *, key: str = ""
 ) -> None:
     """Raise `error`, which names the file, unless `path` is a regular file or a link to one.
 
@@ -76,7 +76,7 @@ def require_regular(
     else:
         what = "no such file"
     named = f"{key} = {str(path)!r}" if key else f"{path}:"
-    raise error(f"{named} {what}, wanted: {wanted}")
+    raise error(f"{named} {what}, wanted: {expected}")
 
 
 def parse_toml(content: bytes | str) -> dict[str, Any]:
@@ -233,8 +233,8 @@ KINDS: Mapping[str, tuple[frozenset[str], str]] = {
 }
 
 
-def other_kind(table: Mapping[str, Any], wanted: str) -> str | None:
-    """Return what `table` is, as the end of a sentence about its file, where it plainly is not a `wanted`.
+def other_kind(table: Mapping[str, Any], expected: str) -> str | None:
+    """Return what `table` is, as the end of a sentence about its file, where it plainly is not a `expected`.
 
     >>> other_kind({"case": "two-area-thesis", "stop_s": 20.0}, "sweep")
     'is a scenario (`interarea run`), wanted: a sweep'
@@ -244,23 +244,23 @@ def other_kind(table: Mapping[str, Any], wanted: str) -> str | None:
     True
     """
     if not table:
-        return f"is empty, wanted: a {wanted}"
+        return f"is empty, wanted: a {expected}"
     keys = set(table)
-    if wanted in KINDS and keys & KINDS[wanted][0]:
+    if expected in KINDS and keys & KINDS[expected][0]:
         return None
     for kind, (signs, command) in KINDS.items():
-        if kind != wanted and keys & signs:
-            return f"is a {kind} (`{command}`), wanted: a {wanted}"
+        if kind != expected and keys & signs:
+            return f"is a {kind} (`{command}`), wanted: a {expected}"
     return None
 
 
-def toml_kind(content: bytes, wanted: str) -> str | None:
+def toml_kind(content: bytes, expected: str) -> str | None:
     """Return what `other_kind` says of a text that is TOML; None where it is none."""
     try:
         table = parse_toml(content)
     except DocumentError:
         return None
-    return other_kind(table, wanted) if table else None
+    return other_kind(table, expected) if table else None
 
 
 _TERM = re.compile(r"(?P<number>\d+(?:\.\d*)?(?:[eE][-+]?\d+)?)\s*(?P<unit>ms|s|cycles?)")

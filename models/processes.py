@@ -29,8 +29,8 @@ _LOOK_S = 0.25  # between two looks at the parent: soon enough, and 4 looks a se
 _guarded: dict[subprocess.Popen[bytes], int] = {}  # with the thread that waits for it
 _interrupted: set[subprocess.Popen[bytes]] = set()
 _begun: list[Future[Any]] = []  # calls that have not ended
-_Given = TypeVar("_Given")
-_Made = TypeVar("_Made")
+_Item = TypeVar("_Item")
+_Result = TypeVar("_Result")
 
 
 def run_guarded(
@@ -78,7 +78,7 @@ def run_guarded(
     return subprocess.CompletedProcess(list(command), process.returncode, *texts)
 
 
-def side_by_side(call: Callable[[_Given], _Made], items: Iterable[_Given]) -> list[_Made]:
+def side_by_side(call: Callable[[_Item], _Result], items: Iterable[_Item]) -> list[_Result]:
     """Return what `call`, which waits for `run_guarded`, gives for each item; one thread for each processor.
 
     Interrupted, it ends the commands under way, and no other begins.
@@ -88,7 +88,7 @@ def side_by_side(call: Callable[[_Given], _Made], items: Iterable[_Given]) -> li
 
 
 @contextlib.contextmanager
-def begun(call: Callable[[_Given], _Made], items: Iterable[_Given]) -> Iterator[list[Future[_Made]]]:
+def begun(call: Callable[[_Item], _Result], items: Iterable[_Item]) -> Iterator[list[Future[_Result]]]:
     """Call as `side_by_side` does while the body runs; after it no other call begins.
 
     A body that fails ends the commands under way, one that is interrupted all commands (`end_commands`).
@@ -96,7 +96,7 @@ def begun(call: Callable[[_Given], _Made], items: Iterable[_Given]) -> Iterator[
     """
     threads: set[int] = set()
 
-    def one(item: _Given) -> _Made:
+    def one(item: _Item) -> _Result:
         threads.add(threading.get_ident())
         return call(item)
 

@@ -25,7 +25,7 @@ from interarea.cosim.designs.design_file import load_design
 from interarea.cosim.designs.design_tables import AcceptanceTable
 from interarea.cosim.designs.family import family_cases
 from interarea.cosim.designs.fault_loops import ControllerOrBank
-from interarea.cosim.designs.fault_runs import FaultRun, FaultRuns, longest_kept
+from interarea.cosim.designs.fault_runs import FaultRun, FaultRuns, longest_stable
 from interarea.cosim.designs.first_swing import after_clearing
 from interarea.design.controllers.bundled import shipped_bank, shipped_banks, shipped_controller
 from interarea.fmu_build.write.cache import default_cache
@@ -149,7 +149,7 @@ class Point:
 
     def clearing_cycles(self, runs: FaultRuns, rule: str) -> list[float]:
         """Return the longest faults that keep synchronism."""
-        longest = longest_kept(
+        longest = longest_stable(
             self.latest,
             lambda cycles: self.kept(runs, rule, cycles),
             1.0,

@@ -175,7 +175,7 @@ class ActuatorCells:
             self.case.hash, known, dict(late), list(losses), family, _STOP_S, code_hash(__name__)
         )
 
-        def made() -> list[int]:
+        def compute() -> list[int]:
             runs = [
                 self._run(fault, ms, controller, late, lost) for lost in losses for fault, ms in self.family
             ]
@@ -193,7 +193,7 @@ class ActuatorCells:
                 for k in range(len(losses))
             ]
 
-        return [int(n) for n in cached_json(self.cache, "actuator-faults", key, made)]
+        return [int(n) for n in cached_json(self.cache, "actuator-faults", key, compute)]
 
     def _run(
         self,

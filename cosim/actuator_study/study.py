@@ -64,7 +64,7 @@ def study_actuators(
         weak = weak_modes(grid, Choices(grid=case.name, most_actuators=1, actuators=exciters))
         compared, power = installed(weak, kinds, mva, cache)
         designs = link_designs(weak, cache, clock, points=POINTS, faults=places)
-        made = ActuatorCells(designs, cache)
+        actuator_cells = ActuatorCells(designs, cache)
         study: dict[str, Any] = {
             "title": "Which actuator damps an inter-area mode best?",
             "command": command,
@@ -80,10 +80,10 @@ def study_actuators(
             "share": SHARE,
             "full_at_rad_s": FULL_AT,
             "points": list(designs.plants),
-            "faults": [str(fault) for fault in made.places],
+            "faults": [str(fault) for fault in actuator_cells.places],
             "clear_ms": list(CLEAR_MS),
             "latencies_ms": sorted(latencies_ms),
-            "survived_without": made.without_control(),
+            "survived_without": actuator_cells.without_control(),
             "actuators": [_actuator(one) for one in compared.values()],
             "no_time_for": clock.left_out,
             "versions": {"interarea": version("interarea")},
@@ -98,9 +98,9 @@ def study_actuators(
                 clock.leave(f"{KINDS[kind]}, {signals} signals, {ms} ms")
                 continue
             near_to = started_from(cells, kind, ms) if signals == REMOTE else None
-            cells.append(made.cell(compared[kind], signals, ms, near_to))
+            cells.append(actuator_cells.cell(compared[kind], signals, ms, near_to))
             _write(_with(study, cells), cells, out)
-        cells = _best_of_all(made, compared, cells)
+        cells = _best_of_all(actuator_cells, compared, cells)
         report(STAGES[1], 1.0)
     report(STAGES[2], 0.0)
     result = _with(study, cells)
@@ -109,7 +109,9 @@ def study_actuators(
     return result
 
 
-def _best_of_all(made: ActuatorCells, compared: Mapping[str, Installed], cells: Sequence[Cell]) -> list[Cell]:
+def _best_of_all(
+    actuator_cells: ActuatorCells, compared: Mapping[str, Installed], cells: Sequence[Cell]
+) -> list[Cell]:
     """Return the cells, each judged anew by the best controller that was designed for any.
 
     Own signals: by what remote controllers use of the same signals; remote ones: by those for other
@@ -119,7 +121,7 @@ def _best_of_all(made: ActuatorCells, compared: Mapping[str, Installed], cells: 
     again = []
     for cell in cells:
         one, others = compared[cell.kind], [c for c in remote[cell.kind] if c is not cell]
-        judged_again = made.remote_again if cell.signals == REMOTE else made.own_again
+        judged_again = actuator_cells.remote_again if cell.signals == REMOTE else actuator_cells.own_again
         again.append(judged_again(one, cell, others))
     return again
 

@@ -27,7 +27,7 @@ from interarea.models.case.named_changes import load_kind
 from ..errors import ScenarioError
 from .design_tables import AcceptanceTable, FaultPlace, wrong_condition
 from .fault_loops import ControllerOrBank, FaultLoops, LoopEnd
-from .fault_runs import FaultRun, FaultRuns, Outcome, longest_kept
+from .fault_runs import FaultRun, FaultRuns, Outcome, longest_stable
 from .first_swing import after_clearing
 
 
@@ -131,8 +131,8 @@ class Acceptance:
             "clearing_mean_change_cycles": float(np.mean(changes)) if changes else None,
             "clearing_worst_change_cycles": min(changes, default=None),
         }
-        kept = {key: value for key, value in asdict(self).items() if value or key != "commutation"}
-        return {**kept, **summary}
+        fields = {key: value for key, value in asdict(self).items() if value or key != "commutation"}
+        return {**fields, **summary}
 
 
 #: a setting, and whether the controller is there
@@ -204,14 +204,14 @@ class Trial:
         self.longest_s = max(self.longest_s, longest_s)
         return dict(zip(ends, outcomes, strict=True))
 
-    def kept(self, cycles: Mapping[Try, float]) -> dict[Try, bool]:
+    def stable_at(self, cycles: Mapping[Try, float]) -> dict[Try, bool]:
         """Whether no two machines come more than half a turn apart."""
         return {setting: angle < np.pi for setting, angle in self.angles(cycles).items()}
 
     def clearing_cycles(self, tries: Sequence[Try]) -> dict[Try, float | None]:
         """Return the longest fault that keeps synchronism (0: not one cycle; None: the longest tried)."""
         t = self.table
-        clearing = longest_kept(tries, self.kept, 1.0, t.longest_cycles, t.resolution_cycles)
+        clearing = longest_stable(tries, self.stable_at, 1.0, t.longest_cycles, t.resolution_cycles)
         return {each: None if n >= t.longest_cycles else n for each, n in clearing.items()}
 
     def _run(self, each: Try, cycles: float) -> FaultRun:

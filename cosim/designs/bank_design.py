@@ -86,12 +86,12 @@ def _member_table(table: DesignTable, member: MemberTable) -> DesignTable:
     )
     keys |= {key: getattr(member, key) for key in ("offset", "effort_cap") if getattr(member, key)}
     try:
-        made = DesignTable.model_validate(keys)
-        made.spec()
+        member_table = DesignTable.model_validate(keys)
+        member_table.spec()
     except ValueError as error:
         raise ScenarioError(f"design {table.name}: bank member {member.name}: {error}") from error
-    made._grid = table._grid
-    return made
+    member_table._grid = table._grid
+    return member_table
 
 
 def bank_steps(table: DesignTable) -> tuple[str, ...]:
@@ -120,9 +120,9 @@ def run_bank_design(
         def report(step: str, share: float, text: str, who: str = name) -> None:
             progress(f"{who}: {step}", share, text)
 
-        made = run_design(each, cache, progress=report).controller
-        missed += [f"{name}: {line}" for line in (made.certificate or {})["violations"]]
-        members.append(replace(made, name=name, design={}, certificate=None))
+        designed = run_design(each, cache, progress=report).controller
+        missed += [f"{name}: {line}" for line in (designed.certificate or {})["violations"]]
+        members.append(replace(designed, name=name, design={}, certificate=None))
     times = table.bank.model_dump(exclude={"member"})
     guard = None if table.guard is None else table.guard.guard()
     bank = ControllerBank(table.name, tuple(members), table.limit_pu, **times, guard=guard)

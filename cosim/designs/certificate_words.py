@@ -133,7 +133,7 @@ def first_failures(certificate: Mapping[str, Any] | None) -> str:
     return f"unstable in {len(unstable)} of {len(rows)} linear conditions (first: {first}); {text}"
 
 
-def kept_certificate(name: str, case_hash: str) -> dict[str, Any] | None:
+def bundled_certificate(name: str, case_hash: str) -> dict[str, Any] | None:
     """Return the record of a study controller at two points of `robust_latency`; None for any other.
 
     Found by ``benchmarks/control/study_certificates.py`` for the case of that design: nothing is known of

@@ -305,20 +305,20 @@ def run_design(
     def tell(what: str, share: float, reached: float) -> None:
         progress(searching, min(share, 0.999), f"{what}: objective {reached:.4f}")
 
-    made = design_robust(plants, spec, omega_b, progress=tell)
+    design_result = design_robust(plants, spec, omega_b, progress=tell)
     progress(searching, 1.0, "")
     facts = {
         "method": "smoothed worst damping over operating points, losses and latencies",
-        "objective": made.objective,
-        "evaluations": made.evaluations,
+        "objective": design_result.objective,
+        "evaluations": design_result.evaluations,
     }
     guard = None if table.guard is None else table.guard.guard()
-    system = scaled_inputs(made.system, table.gain_of)
+    system = scaled_inputs(design_result.system, table.gain_of)
     system = system if guard is None else with_input(system, guard.follows)
     controller = Controller(table.name, system, table.limit_pu, facts, guard=guard)
     certificate = certify(table, controller, cache, progress=lambda _, share: progress(certifying, share, ""))
     progress(certifying, 1.0, "")
-    starts = {f"start {k}": K for k, K in enumerate(made.tried, start=1)}
+    starts = {f"start {k}": K for k, K in enumerate(design_result.tried, start=1)}
     return Designed(judged_by(table, controller, certificate), starts)
 
 
@@ -365,7 +365,7 @@ def steps_of(table: DesignTable, *, acceptance: bool) -> list[str]:
         accepting: acceptance and table.acceptance is not None,
         faults: table.fault is not None,
     }
-    return [step for step, is_wanted in steps.items() if is_wanted]
+    return [step for step, requested in steps.items() if requested]
 
 
 def certify(

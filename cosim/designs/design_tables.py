@@ -294,8 +294,8 @@ class AcceptanceTable(Table):
 
     def of(self, signals: Collection[str]) -> AcceptanceTable:
         """Return the acceptance for a controller with these signals only."""
-        kept = tuple(name for name in self.never_lost if name in signals)
-        return self.model_copy(update={"never_lost": kept})
+        never_lost = tuple(name for name in self.never_lost if name in signals)
+        return self.model_copy(update={"never_lost": never_lost})
 
     def check_signals(self, signals: Sequence[str]) -> None:
         """Raise ValueError if `never_lost` has a name that is not a signal of the controller."""

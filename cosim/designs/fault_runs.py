@@ -248,24 +248,24 @@ class FaultRuns:
         return system.master(live.values())
 
 
-def longest_kept(
+def longest_stable(
     settings: Sequence[Key],
-    kept: Callable[[Mapping[Key, float]], Mapping[Key, bool]],
+    are_stable: Callable[[Mapping[Key, float]], Mapping[Key, bool]],
     low: float,
     high: float,
     tolerance: float,
 ) -> dict[Key, float]:
-    """Bisect the end of `kept` between `low` and `high` for each setting; each call has all settings.
+    """Bisect the end of `are_stable` between `low` and `high` for each setting; each call has all settings.
 
     Returns
     -------
     setting -> the longest kept value; 0 if `low` is not kept, `high` if it is kept.
     """
-    first, last = kept(dict.fromkeys(settings, low)), kept(dict.fromkeys(settings, high))
+    first, last = are_stable(dict.fromkeys(settings, low)), are_stable(dict.fromkeys(settings, high))
     good = {s: (high if last[s] else low) if first[s] else 0.0 for s in settings}
     bad = {s: high for s in settings if first[s] and not last[s]}
     while bad:
-        stable = kept({s: 0.5 * (good[s] + limit) for s, limit in bad.items()})
+        stable = are_stable({s: 0.5 * (good[s] + limit) for s, limit in bad.items()})
         for s, holds in stable.items():
             middle = 0.5 * (good[s] + bad[s])
             good[s], bad[s] = (middle, bad[s]) if holds else (good[s], middle)

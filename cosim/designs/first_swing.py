@@ -36,7 +36,7 @@ Positive = Annotated[float, Field(gt=0.0)]
 
 #: mean drive (pu) below which synchronism was kept in every run, and above which it was lost in every run of
 #: the two-area system; in between both happened (0.054 lost, 0.059 kept, limits and corners being different)
-KEPT_BELOW, LOST_ABOVE = 0.05, 0.1
+STABLE_BELOW, LOST_ABOVE = 0.05, 0.1
 
 
 class FaultTable(Table):
@@ -180,7 +180,7 @@ def predicted_drive(
         in_rad = {name: case.omega_b * values for name, values in speeds.items()}
         for lost in losses:
             worst = max(worst, mean_drive(controller.system, time_s, in_rad, lost, fault))
-    message = "kept" if worst < KEPT_BELOW else "lost" if worst > LOST_ABOVE else "uncertain"
+    message = "kept" if worst < STABLE_BELOW else "lost" if worst > LOST_ABOVE else "uncertain"
     return worst, message
 
 

@@ -242,11 +242,11 @@ def _events(subject: Subject) -> dict[str, Any]:
         "load": targets(
             [{"kind": "load_step", "load": q.name, "size_pu": 0.1, "start_s": 1.0} for q in case.loads]
         ),
-        "given": _given_events(subject),
+        "given": _preset_events(subject),
     }
 
 
-def _given_events(subject: Subject) -> dict[str, Any]:
+def _preset_events(subject: Subject) -> dict[str, Any]:
     """The scenario's own events: as parameters of the plant, and as tables for the saved scenario."""
     from ..errors import ScenarioError
 

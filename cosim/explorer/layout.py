@@ -35,11 +35,11 @@ def bus_positions(case: Case) -> dict[int, tuple[float, float]]:
     }
 
 
-def _scaled(wanted: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def _scaled(target: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     """Classical scaling: the two leading coordinates of the centred squared distances."""
-    n = len(wanted)
+    n = len(target)
     centre = np.eye(n) - 1.0 / n
-    values, vectors = np.linalg.eigh(-0.5 * centre @ wanted**2 @ centre)
+    values, vectors = np.linalg.eigh(-0.5 * centre @ target**2 @ centre)
     places: npt.NDArray[np.float64] = vectors[:, -2:] * np.sqrt(np.maximum(values[-2:], 1e-9))
     # eigenvectors have no sign; a small fixed asymmetry keeps buses of one distance apart
     places *= np.sign(places[np.argmax(np.abs(places), axis=0), [0, 1]])
@@ -47,14 +47,14 @@ def _scaled(wanted: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     return places[:, ::-1] + 0.02 * np.column_stack([np.cos(angle), np.sin(angle)])
 
 
-def _majorized(places: npt.NDArray[np.float64], wanted: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def _majorized(places: npt.NDArray[np.float64], target: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     n = len(places)
-    weights = np.divide(1.0, wanted**2, out=np.zeros_like(wanted), where=wanted > 0.0)
+    weights = np.divide(1.0, target**2, out=np.zeros_like(target), where=target > 0.0)
     laplacian = np.diag(weights.sum(axis=1)) - weights
     solve = np.linalg.inv(laplacian + 1.0 / n)
     for _ in range(_SWEEPS):
         apart = np.linalg.norm(places[:, None] - places[None], axis=2)
-        pull = np.divide(weights * wanted, apart, out=np.zeros_like(apart), where=apart > 1e-9)
+        pull = np.divide(weights * target, apart, out=np.zeros_like(apart), where=apart > 1e-9)
         places = solve @ (np.diag(pull.sum(axis=1)) - pull) @ places
     return places
 

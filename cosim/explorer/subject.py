@@ -109,7 +109,7 @@ class Subject:
     def channels(self) -> dict[str, tuple[str, Mapping[str, Any]]]:
         """Name -> signal and table of a channel for every signal of all controllers; the scenario's first."""
         named: dict[str, tuple[str, Mapping[str, Any]]] = {
-            n: (c.signal, _given(c)) for n, c in self.scenario.channels.items() if c.signal
+            n: (c.signal, _channel_values(c)) for n, c in self.scenario.channels.items() if c.signal
         }
         taken = {signal for signal, _ in named.values()}
         for controller, block in self.controllers.items():
@@ -233,7 +233,7 @@ def _scenario_of_case(name: str, case: Case, **loop: Any) -> Scenario:
     return load_scenario(table)
 
 
-def _given(channel: Any) -> dict[str, Any]:
+def _channel_values(channel: Any) -> dict[str, Any]:
     """Return the keys of a channel's table that differ from their defaults."""
     table: dict[str, Any] = channel.model_dump(mode="json", exclude_defaults=True)
     return table

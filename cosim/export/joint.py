@@ -63,7 +63,7 @@ def run_joint(
     ledger = _ledger(loaded, members)
     assert system.swing is not None  # of a scenario with a case
     requested, stop_s = (*METRICS, RING_DOWN), float(trajectory.time_s[-1])
-    judge = Judge(case, system.swing, loaded, step_s=members.step_s, stop_s=stop_s, wanted=requested)
+    judge = Judge(case, system.swing, loaded, step_s=members.step_s, stop_s=stop_s, requested=requested)
     judge.add(trajectory)
     loop = system.linear_loop()
     limits = [float(m.start.get("limit", _limit(m))) for m in members.all if m.name == "controller"]

@@ -69,8 +69,8 @@ class GridDesign:
     def sentence(self) -> str:
         """Recommendation what to build, as a sentence."""
         requested = self.proposal.table.ask
-        asked = (requested.inter_area, requested.worst_swing)
-        return which_to_build(self.controller, self.local, asked, self.proposal.findings.weak.stabilized)
+        required = (requested.inter_area, requested.worst_swing)
+        return which_to_build(self.controller, self.local, required, self.proposal.findings.weak.stabilized)
 
     def because(self, lines: tuple[str, ...]) -> GridDesign:
         """Return the design with additional reasons."""
@@ -230,7 +230,7 @@ def left_out_rows(
             continue
         case = at_point(table.grid, row.point)
 
-        def made(name: str = row.point.name, case: Case = case) -> list[dict[str, Any]]:
+        def compute(name: str = row.point.name, case: Case = case) -> list[dict[str, Any]]:
             plant = FamilyPlant.of(case, table.signals, table.actuators, cache)
             band = inter_area_band(plant.modes)
             judged = judge_family(
@@ -239,12 +239,12 @@ def left_out_rows(
             return [asdict(one) for one in judged.rows]
 
         # by what is judged: limits and faults of the controller may change meanwhile
-        asked = [table.signals, table.actuators, table.conditions]
+        setup = [table.signals, table.actuators, table.conditions]
         K = controller.matrices
         key = content_hash(
-            case.hash, row.point.name, asked, K.A, K.B, K.C, K.D, code_hash(judge_family.__module__)
+            case.hash, row.point.name, setup, K.A, K.B, K.C, K.D, code_hash(judge_family.__module__)
         )
-        rows += cached_json(cache, "grid-left-out", key, made)
+        rows += cached_json(cache, "grid-left-out", key, compute)
     return rows
 
 
@@ -322,10 +322,10 @@ def _searched(table: DesignTable, cache: Path, progress: Callable[[float], objec
         if step == DESIGN_STEPS[1]:
             progress(share)
 
-    def made() -> dict[str, Any]:
+    def compute() -> dict[str, Any]:
         return run_design(table, cache, progress=tell).controller.as_dict()
 
-    return Controller.from_dict(cached_json(cache, "grid-design", key, made))
+    return Controller.from_dict(cached_json(cache, "grid-design", key, compute))
 
 
 def _with_faults(

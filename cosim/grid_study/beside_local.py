@@ -53,6 +53,6 @@ def beside_local(weak: WeakModes, local: Controller, cache: Path) -> WeakModes |
     grid = modes_of_grid(case, cache)
     if grid.growing or not grid.inter_area:
         return None
-    choices = weak.choices.model_copy(update={"inter_area": weak.wanted})
+    choices = weak.choices.model_copy(update={"inter_area": weak.required_damping})
     machines = tuple(one["machine"] for one in stabilizers)
     return WeakModes(case, grid.plant, grid.all_modes, grid.inter_area, grid.weak_others, choices, machines)

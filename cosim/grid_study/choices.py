@@ -41,7 +41,7 @@ class Choices(Table):
         float,
         Field(gt=0.0, description="limit of the processor time; the page lists the parts that exceed it"),
     ] = MINUTES
-    #: none: what `wanted` says
+    #: none: what `required_damping` says
     inter_area: Annotated[
         float | None,
         Field(ge=0.0, lt=1.0, description="required damping ratio of the inter-area modes"),
@@ -73,12 +73,12 @@ class Choices(Table):
     #: runs end at 10 s, and a swing needs some seconds to be judged
     clear_s: Annotated[float, Field(gt=0.0, le=5.0, description="duration of a fault, s")] = 0.1
 
-    def wanted(self, least: float) -> float:
+    def required_damping(self, least: float) -> float:
         """Return the required inter-area damping ratio if the least without control is `least`.
 
         >>> choices = Choices(grid="new-england")
-        >>> round(choices.wanted(0.02), 3), choices.wanted(0.08), choices.wanted(0.2)
-        (0.07, 0.1, 0.2)
+        >>> [round(choices.required_damping(damping), 3) for damping in (0.02, 0.08, 0.2)]
+        [0.07, 0.1, 0.2]
         """
         if self.inter_area is not None:
             return self.inter_area

@@ -95,24 +95,26 @@ class _Faults:
     def run(self, limit_pu: float, point: str) -> Acceptance:
         """Run every fault at one operating point, without clearing times."""
 
-        def made(limited: Controller, asked: AcceptanceTable) -> dict[str, Any]:
+        def compute(limited: Controller, judged_by: AcceptanceTable) -> dict[str, Any]:
             at = {point: self.cases[point]}
-            return asdict(judge_acceptance(limited, at, asked, self.cache, clearing=False))
+            return asdict(judge_acceptance(limited, at, judged_by, self.cache, clearing=False))
 
-        stored = self._kept("grid-faults", limit_pu, point, made)
+        stored = self._cached("grid-faults", limit_pu, point, compute)
         fields: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in stored.items()}
         return Acceptance(**fields)
 
     def clearing(self, limit_pu: float, point: str) -> tuple[ClearingRow, ...]:
         """Search the clearing times at one operating point."""
 
-        def made(limited: Controller, asked: AcceptanceTable) -> list[dict[str, Any]]:
-            return [asdict(r) for r in clearing_times(limited, point, self.cases[point], asked, self.cache)]
+        def compute(limited: Controller, judged_by: AcceptanceTable) -> list[dict[str, Any]]:
+            return [
+                asdict(r) for r in clearing_times(limited, point, self.cases[point], judged_by, self.cache)
+            ]
 
-        return tuple(ClearingRow(**row) for row in self._kept("grid-clearing", limit_pu, point, made))
+        return tuple(ClearingRow(**row) for row in self._cached("grid-clearing", limit_pu, point, compute))
 
-    def _kept(
-        self, kind: str, limit_pu: float, point: str, made: Callable[[Controller, AcceptanceTable], Any]
+    def _cached(
+        self, kind: str, limit_pu: float, point: str, compute: Callable[[Controller, AcceptanceTable], Any]
     ) -> Any:
         acceptance = self.table.acceptance
         assert acceptance is not None
@@ -124,7 +126,7 @@ class _Faults:
             limited.as_dict(),
             code_hash(AcceptanceTable.__module__),
         )
-        return cached_json(self.cache, kind, key, lambda: made(limited, acceptance))
+        return cached_json(self.cache, kind, key, lambda: compute(limited, acceptance))
 
 
 def _violations(parts: Mapping[str, Acceptance]) -> int:

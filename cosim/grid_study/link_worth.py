@@ -28,7 +28,7 @@ from interarea.models.case.case import Case
 
 from ..designs.design_tables import FaultPlace
 from ..designs.family import FamilyPlant
-from ..designs.fault_runs import FaultRun, FaultRuns, longest_kept
+from ..designs.fault_runs import FaultRun, FaultRuns, longest_stable
 from ..designs.first_swing import FaultTable, after_clearing
 from ..designs.short_designs import STATES, short_controller
 from ..designs.worth import common_rises
@@ -172,10 +172,10 @@ class LinkDesigns:
         known = None if own is None else own.as_dict()
         key = content_hash(*self._of, dict(sees), latency_ms, effort, known, asdict(terms))
 
-        def made() -> dict[str, Any]:
+        def compute() -> dict[str, Any]:
             return self._designed(sees, latency_ms, replace(terms, effort=effort), own).as_dict()
 
-        return Controller.from_dict(cached_json(self.cache, "link-design", key, made))
+        return Controller.from_dict(cached_json(self.cache, "link-design", key, compute))
 
     def best_own(self, sees: Mapping[str, tuple[str, ...]], controllers: Sequence[Controller]) -> Controller:
         """Return the best controller of own signals alone: those of `controllers`, other signals masked."""
@@ -195,11 +195,11 @@ class LinkDesigns:
         known = [one.as_dict() for one in controllers]
         key = content_hash(*self._of, dict(sees), latency_ms, list(terms.near), known)
 
-        def made() -> dict[str, int]:
+        def compute() -> dict[str, int]:
             reached = [_reached(self._judge(one.system, conditions)) for one in controllers]
             return {"place": int(np.argmax(reached))}
 
-        place = int(cached_json(self.cache, "link-best", key, made)["place"])
+        place = int(cached_json(self.cache, "link-best", key, compute)["place"])
         return controllers[place]
 
     def row(
@@ -222,7 +222,7 @@ class LinkDesigns:
             *self._of, controller.as_dict(), known, dict(sees), latency_ms, faults, asdict(terms)
         )
 
-        def made() -> dict[str, Any]:
+        def compute() -> dict[str, Any]:
             candidates = [controller.system, *([] if own_system is None else [own_system])]
             conditions = _conditions(sees, latency_ms, terms.near)
             best = max(candidates, key=lambda K: _reached(self._judge(K, conditions)))
@@ -233,7 +233,7 @@ class LinkDesigns:
                 row["clearing_cycles"] = self._clearing_change(taken, late)
             return row
 
-        row = cached_json(self.cache, "link-row", key, made)
+        row = cached_json(self.cache, "link-row", key, compute)
         return LinkRow(tuple(sees), signals, dict(sees), latency_ms, **row)
 
     def _designed(
@@ -352,10 +352,10 @@ class LinkDesigns:
         faults = [fault.model_dump(mode="json") for fault in self.faults]
         key = content_hash(self.case.hash, known, dict(latency_s_of), faults, code_hash(__name__))
 
-        def made() -> list[float]:
+        def compute() -> list[float]:
             with FaultRuns(self.case, self.cache) as runs:
 
-                def kept(cycles: Mapping[int, float]) -> dict[int, bool]:
+                def are_stable(cycles: Mapping[int, float]) -> dict[int, bool]:
                     candidates = [
                         self._run(self.faults[k], n, controller, latency_s_of) for k, n in cycles.items()
                     ]
@@ -365,10 +365,10 @@ class LinkDesigns:
                     }
 
                 places = range(len(self.faults))
-                longest = longest_kept(places, kept, 1.0, _LONGEST_CYCLES, _RESOLUTION_CYCLES)
+                longest = longest_stable(places, are_stable, 1.0, _LONGEST_CYCLES, _RESOLUTION_CYCLES)
             return [longest[k] for k in places]
 
-        return list(cached_json(self.cache, "link-clearing", key, made))
+        return list(cached_json(self.cache, "link-clearing", key, compute))
 
     def _run(
         self,

@@ -185,10 +185,10 @@ def local_rival(
         table.grid.hash, table.model_dump(mode="json"), controller.as_dict(), code_hash(certify.__module__)
     )
 
-    def made() -> dict[str, Any]:
+    def compute() -> dict[str, Any]:
         return judged_by(table, controller, certify(table, controller, cache)).as_dict()
 
-    judged = Controller.from_dict(cached_json(cache, "grid-local-certificate", judged_by_key, made))
+    judged = Controller.from_dict(cached_json(cache, "grid-local-certificate", judged_by_key, compute))
     progress(0.5)
     return judged_with_faults(
         table, judged, cache, clock, stage=STAGE, progress=lambda share: progress(0.5 + 0.5 * share)
@@ -196,11 +196,11 @@ def local_rival(
 
 
 def which_to_build(
-    wide: Controller, local: Controller | None, asked: tuple[float, float], installed: Sequence[str] = ()
+    wide: Controller, local: Controller | None, required: tuple[float, float], installed: Sequence[str] = ()
 ) -> str:
     """Return the recommendation what to build, as a sentence.
 
-    asked : required inter-area damping, and damping of every swing. installed : machines with a stabilizer of
+    required : inter-area damping, and damping of every swing. installed : machines with a stabilizer of
     `local` in the grid for which `wide` is designed.
     """
     if local is None:
@@ -218,10 +218,10 @@ def which_to_build(
             f"the wide-area loop {compared} inter-area damping{not_run}"
         )
     if installed:
-        return _both(wide, local, asked, there, installed)
+        return _both(wide, local, required, there, installed)
     if _passed(wide):
         return f"build the wide-area loop: {afar}; {there} and violate {_missed(local)}"
-    wide_first = _nearness(wide, asked) >= _nearness(local, asked)
+    wide_first = _nearness(wide, required) >= _nearness(local, required)
     closer = "wide-area loop is" if wide_first else "local stabilizers are"
     return (
         f"neither meets all requirements; the {closer} closer: {afar} and violates {_missed(wide)}; "
@@ -230,12 +230,16 @@ def which_to_build(
 
 
 def _both(
-    wide: Controller, local: Controller, asked: tuple[float, float], there: str, installed: Sequence[str]
+    wide: Controller, local: Controller, required: tuple[float, float], there: str, installed: Sequence[str]
 ) -> str:
     both = f"a wide-area loop and those at {', '.join(installed)} reach {_reached(wide)}"
     if _passed(wide):
         return f"build both: {there} and violate {_missed(local)}; {both} and meet all requirements"
-    alone = "" if _nearness(wide, asked) >= _nearness(local, asked) else "; the stabilizers alone are closer"
+    alone = (
+        ""
+        if _nearness(wide, required) >= _nearness(local, required)
+        else "; the stabilizers alone are closer"
+    )
     missed = f"{there} and violate {_missed(local)}; {both} and violate {_missed(wide)}"
     return f"not all requirements are met{alone}: {missed}"
 
@@ -260,10 +264,10 @@ def _reached(controller: Controller) -> str:
     return f"damping ratios of {least}"
 
 
-def _nearness(controller: Controller, asked: tuple[float, float]) -> tuple[int, int, float]:
+def _nearness(controller: Controller, required: tuple[float, float]) -> tuple[int, int, float]:
     """Return the order of merit of a controller: unstable loops, failed faults, missing damping."""
     certificate = controller.certificate or {}
-    unstable, short = falls_short(certificate, *asked)
+    unstable, short = falls_short(certificate, *required)
     faults = certificate["acceptance"] or {}
     return -unstable, -sum(len(faults.get(kind, ())) for kind in ("lost", "standing", "unstable")), short
 
@@ -327,7 +331,7 @@ def _damping_of_gains(
     bands = {name: inter_area_band(plant.modes) for name, plant in plants.items()}
     conditions = [Condition("N"), *(Condition(f"L:{signal}", (signal,)) for signal in table.signals)]
     order = [(name, condition) for name in plants for condition in conditions]  # the last decisive one first
-    asked = (table.ask.inter_area, table.ask.worst_swing)
+    required = (table.ask.inter_area, table.ask.worst_swing)
 
     def reached(gains: Sequence[float], least: tuple[float, float]) -> tuple[float, float]:
         ones = [replace(one, K=K) for one, K in zip(units, gains, strict=True)]
@@ -339,7 +343,7 @@ def _damping_of_gains(
             except InterareaError:  # a loop of which not all modes are known
                 return _UNSTABLE
             worst = (min(worst[0], row.inter_area), min(worst[1], row.worst_swing))
-            missed = sum(min(there - wanted, 0.0) for there, wanted in zip(worst, asked, strict=True))
+            missed = sum(min(there - needed, 0.0) for there, needed in zip(worst, required, strict=True))
             value = (missed, sum(min(there, WEAK) for there in worst)) if row.stable else _UNSTABLE
             if not value > least:
                 order.remove((name, condition))

@@ -24,7 +24,7 @@ from .clock import Clock
 from .weak_modes import WeakModes, modes_of_grid
 
 #: branches whose outage is tried, points that these are to give, and those that go into the design
-TRIED, USABLE, KEPT = 40, 12, 4
+TRIED, USABLE, CHOSEN = 40, 12, 4
 #: relative change of an eigenvalue below which another load or tie flow is no point of its own
 MOVED = 0.01
 LOADS = (1.05, 0.9)  #: factors on all loads and the power of all machines
@@ -89,9 +89,9 @@ def chosen_points(tried: Sequence[TriedPoint]) -> tuple[PointTable, ...]:
     usable = [row for row in tried if not row.problem]
     same = {(round(row.least, 3), round(row.moved, 2)): row for row in reversed(usable) if _outage(row)}
     outages = list(same.values())[::-1]  # of circuits in parallel or in series one
-    worst = sorted(outages, key=lambda row: row.least)[: KEPT // 2]
+    worst = sorted(outages, key=lambda row: row.least)[: CHOSEN // 2]
     rest = [row for row in outages if row not in worst]
-    most = sorted(rest, key=lambda row: -row.moved)[: KEPT - len(worst)]
+    most = sorted(rest, key=lambda row: -row.moved)[: CHOSEN - len(worst)]
     others = [row for row in usable if not _outage(row) and row.moved >= MOVED]
     return (PointTable(name="base"), *(row.point for row in (*worst, *most, *others)))
 
@@ -108,16 +108,16 @@ def keeping_what_is_there(
         return tuple(points)
     least = {row.point.name: row.least for row in tried} | {"base": weak.weakest.damping_ratio}
     low, high = (2.0 * pi * hz for hz in inter_area_band({m.name: m for m in weak.all_modes.modes}))
-    kept: list[PointTable] = []
+    adjusted: list[PointTable] = []
     for point in points:
-        wanted = round(min(least[point.name] - weak.choices.given_away, ENOUGH), 4)
-        if wanted > weak.wanted:
-            more = round(wanted - weak.wanted, 4)
+        required = round(min(least[point.name] - weak.choices.given_away, ENOUGH), 4)
+        if required > weak.required_damping:
+            more = round(required - weak.required_damping, 4)
             nodes = ((_EDGE * low, 0.0), (low, more), (high, more), (high / _EDGE, 0.0))
             rounded = tuple((round(at, 3), value) for at, value in nodes)
-            point = point.model_copy(update={"more": rounded, "ask": (worst_swing, wanted)})
-        kept.append(point)
-    return tuple(kept)
+            point = point.model_copy(update={"more": rounded, "ask": (worst_swing, required)})
+        adjusted.append(point)
+    return tuple(adjusted)
 
 
 def _outage(row: TriedPoint) -> bool:

@@ -118,8 +118,8 @@ def _reached(study: Mapping[str, Any]) -> list[str]:
     return lines
 
 
-def _holds(row: Mapping[str, Any], asked: Mapping[str, float]) -> bool:
-    return bool(row["stable"]) and all(row[key] >= asked[key] for key in ("inter_area", "worst_swing"))
+def _holds(row: Mapping[str, Any], required: Mapping[str, float]) -> bool:
+    return bool(row["stable"]) and all(row[key] >= required[key] for key in ("inter_area", "worst_swing"))
 
 
 def damping_rows(judged: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:

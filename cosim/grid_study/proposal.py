@@ -175,7 +175,7 @@ def propose(
         "starts": 2,
         "seed": 1,
         "ask": {
-            "inter_area": round(weak.wanted, 4),
+            "inter_area": round(weak.required_damping, 4),
             "worst_swing": worst_swing,
             "given_away": choices.given_away,
             "effort": round(1.15 * choices.effort, 3),
@@ -193,7 +193,7 @@ def propose(
         keys["guard"] = guard
     table = design_of(keys, where=f"the design made for {weak.case.name}")
     table._grid = weak.case
-    return Proposal(table, findings, taken, (*_reasons(findings, taken, names), *_kept(chosen)))
+    return Proposal(table, findings, taken, (*_reasons(findings, taken, names), *_raised_points(chosen)))
 
 
 def _points(findings: Findings, conditions: int, also: Sequence[str]) -> tuple[PointTable, ...]:
@@ -217,13 +217,13 @@ def _short_designs(
             clock.leave(f"a short design of the loops at {', '.join(one.actuators)}")
             continue
 
-        def made(one: LoopSet = one) -> tuple[float, float]:
+        def compute(one: LoopSet = one) -> tuple[float, float]:
             (row,) = short_designs(weak.case, [one], cache, latency_s=LATENCY_S)
             return row.damping, row.own
 
         loops = dict(one.loops)
         key = content_hash(weak.case.hash, loops, LATENCY_S, code_hash(short_designs.__module__))
-        designs.append(ShortDesign(one, *cached_json(cache, "grid-loops", key, made)))
+        designs.append(ShortDesign(one, *cached_json(cache, "grid-loops", key, compute)))
     return tuple(sorted(designs, key=lambda design: len(design.chosen.actuators)))
 
 
@@ -279,7 +279,7 @@ def _local_nodes(modes: Sequence[Mode], weak: WeakModes, reached: float) -> list
     """
     nodes: list[list[float]] = []
     for mode in sorted(modes, key=lambda m: abs(m.eigenvalue.imag)):
-        counted_on = weak.wanted if mode.damping_ratio < WEAK else reached
+        counted_on = weak.required_damping if mode.damping_ratio < WEAK else reached
         at = abs(mode.eigenvalue.imag)
         value = min(min(mode.damping_ratio, WEAK) - weak.choices.given_away - counted_on, 0.0)
         if nodes and at < (1.0 + _NEAR) * nodes[-1][0]:
@@ -375,14 +375,15 @@ def _reasons(findings: Findings, taken: ShortDesign, names: set[str]) -> tuple[s
         lines.append(f"Rejected points (no power flow, islands or unstable): {', '.join(missing)}.")
     least = min([weak.weakest.damping_ratio, *(r.least for r in candidates if r.point.name in names)])
     lines.append(
-        f"Required: inter-area damping {weak.wanted:.3f} (without control {least:.3f} at the worst point); "
+        f"Required: inter-area damping {weak.required_damping:.3f} (without control {least:.3f} at the worst "
+        "point); "
         f"no mode may lose more than {weak.choices.given_away:g} of its damping ratio without control."
     )
     return tuple(lines)
 
 
-def _kept(points: Sequence[PointTable]) -> tuple[str, ...]:
-    asked = [f"{point.name} {point.ask[1]:.3f}" for point in points if point.ask is not None]
-    if not asked:
+def _raised_points(points: Sequence[PointTable]) -> tuple[str, ...]:
+    raised = [f"{point.name} {point.ask[1]:.3f}" for point in points if point.ask is not None]
+    if not raised:
         return ()
-    return (f"Required where the stabilizers already reach more inter-area damping: {', '.join(asked)}.",)
+    return (f"Required where the stabilizers already reach more inter-area damping: {', '.join(raised)}.",)

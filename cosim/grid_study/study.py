@@ -165,7 +165,7 @@ def defaults_of(case: Case, cache: Path) -> tuple[dict[str, Any], list[str]]:
         return {}, [*lines, str(error)]
     actuators = list(dict.fromkeys(a for one in weak.sets for a in one.actuators))
     lines.append(f"Actuators of the best sets of loops by their residues: {', '.join(actuators)}.")
-    return {"inter_area": round(weak.wanted, 4)}, lines
+    return {"inter_area": round(weak.required_damping, 4)}, lines
 
 
 def _findings(findings: Findings, proposal: Proposal | None = None) -> dict[str, Any]:
@@ -230,13 +230,13 @@ def _rival(table: DesignTable, controller: Controller, cache: Path, report: Repo
         code_hash(worth.__module__),
     )
 
-    def made() -> dict[str, Any]:
+    def compute() -> dict[str, Any]:
         done = design_rival(
             table, controller, cache, progress=lambda _, share, __: report(name, 0.99 * share)
         )
         return done.as_dict()
 
-    return Controller.from_dict(cached_json(cache, "grid-rival", key, made))
+    return Controller.from_dict(cached_json(cache, "grid-rival", key, compute))
 
 
 def _over_latency(table: DesignTable, controller: Controller, cache: Path) -> list[dict[str, Any]]:
@@ -249,7 +249,7 @@ def _over_latency(table: DesignTable, controller: Controller, cache: Path) -> li
     ]
     key = content_hash(table.grid.hash, controller.as_dict(), LATENCIES_S, code_hash(judge_family.__module__))
 
-    def made() -> list[dict[str, Any]]:
+    def compute() -> list[dict[str, Any]]:
         judged = judge_family(
             {"base": plant.judged},
             controller.system,
@@ -263,4 +263,4 @@ def _over_latency(table: DesignTable, controller: Controller, cache: Path) -> li
             )
         ]
 
-    return list(cached_json(cache, "grid-latency", key, made))
+    return list(cached_json(cache, "grid-latency", key, compute))

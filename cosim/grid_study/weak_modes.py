@@ -94,9 +94,9 @@ class WeakModes:
         return min(self.targets, key=lambda mode: mode.damping_ratio)
 
     @property
-    def wanted(self) -> float:
+    def required_damping(self) -> float:
         """Required inter-area damping ratio of a design."""
-        return self.choices.wanted(self.weakest.damping_ratio)
+        return self.choices.required_damping(self.weakest.damping_ratio)
 
     @cached_property
     def sets(self) -> tuple[LoopSet, ...]:
@@ -145,7 +145,7 @@ def weak_modes(grid: GridModes, choices: Choices | None = None) -> WeakModes:
             f"ratio of {BELOW:g}; nothing to design (areas of the buses decide the names)"
         )
     least = min(m.damping_ratio for m in targets)
-    if not least < WEAK and not choices.wanted(least) > least:
+    if not least < WEAK and not choices.required_damping(least) > least:
         listed = ", ".join(in_words(m) for m in targets)
         raise ScenarioError(
             f"{case.name}: no weak inter-area mode, all have a damping ratio of {WEAK:g} or more: {listed}; "

@@ -25,7 +25,7 @@ from interarea.models.grid.powerflow import PowerFlow, solve_powerflow
 
 from ..designs.design_file import load_design
 from ..designs.design_tables import FaultPlace
-from ..designs.fault_runs import FaultRun, FaultRuns, longest_kept
+from ..designs.fault_runs import FaultRun, FaultRuns, longest_stable
 from ..designs.first_swing import after_clearing
 from ..errors import machine_error
 from ..grid_study.choices import Choices
@@ -112,8 +112,10 @@ class GridSteps:
         self._code = code_hash(__name__)
 
     def _bundled(self) -> Controller | None:
-        made = controller_of(self.controller_name, self.case, self.cache) if self.controller_name else None
-        return made if isinstance(made, Controller) else None
+        controller = (
+            controller_of(self.controller_name, self.case, self.cache) if self.controller_name else None
+        )
+        return controller if isinstance(controller, Controller) else None
 
     def _fault(self) -> FaultPlace:
         """Return the first fault of the bundled design, else one at the branch that carries most power."""
@@ -134,8 +136,8 @@ class GridSteps:
         """Return the modes of a step, with all signals of a controller `LATENCY_S` late."""
         known = None if controller is None else controller.as_dict()
         key = content_hash(case.hash, known, LATENCY_S, BAND_HZ, BELOW, self._code)
-        made = cached_json(self.cache, "inverter-modes", key, lambda: self._modes(case, controller))
-        return StepModes(**made | {"swings": tuple(_swing(one) for one in made["swings"])})
+        stored = cached_json(self.cache, "inverter-modes", key, lambda: self._modes(case, controller))
+        return StepModes(**stored | {"swings": tuple(_swing(one) for one in stored["swings"])})
 
     def clearing(self, case: Case, controller: Controller | None = None) -> float:
         """Return the longest time of the fault that keeps synchronism, cycles; `LATENCY_S` late."""
@@ -143,18 +145,18 @@ class GridSteps:
         fault = self.fault.model_dump(mode="json")
         key = content_hash(case.hash, known, LATENCY_S, fault, self._code)
 
-        def made() -> float:
+        def compute() -> float:
             with FaultRuns(case, self.cache) as runs:
 
-                def kept(cycles: Mapping[int, float]) -> dict[int, bool]:
+                def are_stable(cycles: Mapping[int, float]) -> dict[int, bool]:
                     tried = [self._run(case, n, controller) for n in cycles.values()]
                     return {
                         k: angle < np.pi for k, angle in zip(cycles, runs.largest_angles(tried), strict=True)
                     }
 
-                return longest_kept([0], kept, 1.0, _LONGEST_CYCLES, _RESOLUTION_CYCLES)[0]
+                return longest_stable([0], are_stable, 1.0, _LONGEST_CYCLES, _RESOLUTION_CYCLES)[0]
 
-        return float(cached_json(self.cache, "inverter-clearing", key, made))
+        return float(cached_json(self.cache, "inverter-clearing", key, compute))
 
     def link(self, case: Case) -> dict[str, Any]:
         """Return what one loop reaches with its own signal and with one of another area too, `LINK_MS` late.

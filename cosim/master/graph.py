@@ -239,16 +239,16 @@ def _greedy(part: tuple[str, ...], inside: Sequence[Connection]) -> tuple[str, .
     return tuple(order)
 
 
-def _port(descriptions: Mapping[str, Description], end: End, wanted: str) -> Port:
+def _port(descriptions: Mapping[str, Description], end: End, causality: str) -> Port:
     description = descriptions[end.instance]
     inputs, outputs = description.input_of, description.output_of
-    side, other = (outputs, inputs) if wanted == "output" else (inputs, outputs)
+    side, other = (outputs, inputs) if causality == "output" else (inputs, outputs)
     if end.variable in side:
         return side[end.variable]
     if end.variable in other:
-        role = "source" if wanted == "output" else "target"
-        raise GraphError(f"{end} has the wrong causality for a {role}: an {wanted} is needed")
-    raise GraphError(f"{end.instance} has no {wanted} {end.variable!r}; {nearest(end.variable, side)}")
+        role = "source" if causality == "output" else "target"
+        raise GraphError(f"{end} has the wrong causality for a {role}: an {causality} is needed")
+    raise GraphError(f"{end.instance} has no {causality} {end.variable!r}; {nearest(end.variable, side)}")
 
 
 def _conversion(source: End, a: Port, target: End, b: Port) -> tuple[float, float]:

@@ -108,6 +108,6 @@ class Signal:
         """Return all that changes during a run."""
         return (self.v0, self.s0, self.v1, self.s1, self.d, self.h_last, self.peak, self.ticks, self.values)
 
-    def paste(self, kept: tuple[object, ...]) -> None:
+    def paste(self, copied: tuple[object, ...]) -> None:
         """Go back to what `copy` returned."""
-        self.v0, self.s0, self.v1, self.s1, self.d, self.h_last, self.peak, self.ticks, self.values = kept  # type: ignore[assignment]
+        self.v0, self.s0, self.v1, self.s1, self.d, self.h_last, self.peak, self.ticks, self.values = copied  # type: ignore[assignment]

@@ -131,7 +131,7 @@ def _chosen(
 ) -> tuple[list[str], str, list[str]]:
     """Return the channels to look at, their quantity, and notes."""
     still = set(record.still())
-    what, names, notes = _asked(record, of, quantity) if of else _best(record, band_hz, quantity, still)
+    what, names, notes = _requested(record, of, quantity) if of else _best(record, band_hz, quantity, still)
     moving = [n for n in names if n not in still]
     if not moving:
         if not names:
@@ -145,13 +145,13 @@ def _chosen(
     return moving, what, [*notes, *([f"{', '.join(left[:6])}: constant, left out"] if left else [])]
 
 
-def _asked(record: Record, of: Sequence[str], quantity: str | None) -> tuple[str, list[str], list[str]]:
+def _requested(record: Record, of: Sequence[str], quantity: str | None) -> tuple[str, list[str], list[str]]:
     for name in of:
         record[name]  # raises for one that is not there
     kinds = {c.quantity for c in record.channels if c.name in of}
     if len(kinds) > 1 or (quantity is not None and kinds != {quantity}):
-        wanted = quantity or "one quantity"
-        raise RecordError(f"{record.source}: channels of {' and '.join(sorted(kinds))}, wanted: of {wanted}")
+        single = quantity or "one quantity"
+        raise RecordError(f"{record.source}: channels of {' and '.join(sorted(kinds))}, wanted: of {single}")
     return kinds.pop(), list(of), []
 
 

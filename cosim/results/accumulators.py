@@ -102,7 +102,7 @@ class Settling:
     def __init__(self, start_s: float, band: float) -> None:
         self.start_s, self.band = start_s, band
         self.peak = self._last = 0.0
-        self._kept = np.empty((4, 0))  # time and value of a point, and of the one after it
+        self._candidates = np.empty((4, 0))  # time and value of a point, and of the one after it
 
     def add(self, time_s: Array, signal: Array) -> None:
         size = np.abs(signal)
@@ -113,8 +113,8 @@ class Settling:
             return
         later = np.maximum.accumulate(x[::-1])[::-1]  # the largest from here on
         new = np.flatnonzero((x[:-1] > later[1:]) & (x[:-1] > self.band * self.peak))
-        retained = self._kept[:, self._kept[1] > max(later[0], self.band * self.peak)]
-        self._kept = np.hstack([retained, [t[new], x[new], t[new + 1], x[new + 1]]])
+        retained = self._candidates[:, self._candidates[1] > max(later[0], self.band * self.peak)]
+        self._candidates = np.hstack([retained, [t[new], x[new], t[new + 1], x[new + 1]]])
         self._last = float(x[-1])
 
     @property
@@ -123,7 +123,7 @@ class Settling:
         limit = self.band * self.peak
         if self._last > limit:
             return None
-        outside = self._kept[:, self._kept[1] > limit]
+        outside = self._candidates[:, self._candidates[1] > limit]
         if not outside.size:
             return 0.0
         t, x, t_next, x_next = outside[:, -1]

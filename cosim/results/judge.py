@@ -41,8 +41,8 @@ _BAND = 0.02  #: of the peak, within which a swing has settled
 class Judge:
     """Takes the parts of a trajectory and gives the run's metrics.
 
-    step_s : of the master. stop_s : time of the last point to come. wanted : names of `METRICS`; the others
-        stay None.
+    step_s : of the master. stop_s : time of the last point to come. requested : names of `METRICS`; the
+        others stay None.
     """
 
     def __init__(
@@ -53,9 +53,9 @@ class Judge:
         *,
         step_s: float,
         stop_s: float,
-        wanted: Collection[str] = m.METRICS,
+        requested: Collection[str] = m.METRICS,
     ) -> None:
-        self.case, self.swing, self.wanted = case, swing, set(wanted)
+        self.case, self.swing, self.requested = case, swing, set(requested)
         self.end_s = end = disturbance_end_s(scenario)
         begin, change = fit_window(scenario)
         self.window = begin, min(change, stop_s, begin + _LONGEST_FIT_S)
@@ -77,17 +77,17 @@ class Judge:
         signal = self._joined("swing", self.swing.of(part))
         self._settling.add(time, signal)
         self.commutations.add(part)
-        if "energy" in self.wanted:
+        if "energy" in self.requested:
             self._energy.add(time, signal)
         controls = {name: self._joined(name, part[name]) for name in part.reals_of("controller")}
-        if "effort" in self.wanted:
+        if "effort" in self.requested:
             for name, control in controls.items():
                 self._effort.setdefault(name, Squares()).add(time, control)
-        if self._fits or "stable" in self.wanted:
+        if self._fits or "stable" in self.requested:
             speeds = {c: self._joined(f"of {c}", part[c]) for c in speeds_of(self.case)}
             if self._fits:
                 self._samples.add(time, list(speeds.values()))
-            if "stable" in self.wanted:
+            if "stable" in self.requested:
                 self._move(part, time, speeds, controls)
 
     def _move(
@@ -114,22 +114,22 @@ class Judge:
         name, end, peak = self.swing.name, self.end_s, self._settling.peak
         swings = self._swings(roots)
 
-        def asked(metric: str, value: Callable[[], Any]) -> Any:
-            return value() if metric in self.wanted else None
+        def if_requested(metric: str, value: Callable[[], Any]) -> Any:
+            return value() if metric in self.requested else None
 
         return m.Metrics(
             signal=name,
             least_damping_ratio=swings.least[0],
             least_frequency_hz=swings.least[1],
             least_mode=swings.least[2],
-            verdict=asked("stable", lambda: self._motion.verdict(limit_pu, self._root(roots))),
+            verdict=if_requested("stable", lambda: self._motion.verdict(limit_pu, self._root(roots))),
             damping_ratio={n: damping_ratio(z) for n, z in swings.named.items()},
             frequency_hz={n: hertz(z) for n, z in swings.named.items()},
             ring_down={n: mode.damping_ratio for n, mode in swings.fitted.items()},
-            settling_time_s=asked("settling_time", lambda: self._settling.time_s),
-            peak_pu=asked("peak", lambda: peak),
-            energy_pu2s=asked("energy", lambda: self._energy.total),
-            effort_pu2s=asked("effort", lambda: float(sum(u.total for u in self._effort.values()))),
+            settling_time_s=if_requested("settling_time", lambda: self._settling.time_s),
+            peak_pu=if_requested("peak", lambda: peak),
+            energy_pu2s=if_requested("energy", lambda: self._energy.total),
+            effort_pu2s=if_requested("effort", lambda: float(sum(u.total for u in self._effort.values()))),
             fit_error=swings.error,
             methods={
                 "signal": self.swing.text,
@@ -148,7 +148,7 @@ class Judge:
     @property
     def at_rest(self) -> bool:
         """Whether nothing moved, so that the linear loop alone can tell what the grid does."""
-        return "stable" in self.wanted and self._motion.at_rest
+        return "stable" in self.requested and self._motion.at_rest
 
     def _root(self, roots: LoopModes | str) -> complex | None:
         """The least damped root of the loop that the verdict is of; None where another loop is linearised."""
@@ -158,7 +158,7 @@ class Judge:
     @property
     def _fits(self) -> bool:
         """Whether a fit may be wanted; where the roots are known it may not."""
-        return bool({"fit_error", "least", "damping", "frequency"} & self.wanted)
+        return bool({"fit_error", "least", "damping", "frequency"} & self.requested)
 
     def _joined(self, what: str, values: Array) -> Array:
         """Return values with the last ones of the part before at their head."""
@@ -168,11 +168,11 @@ class Judge:
 
     def _swings(self, roots: LoopModes | str) -> _Swings:
         known, window = None if isinstance(roots, str) else roots, self.window
-        numbers = bool({"least", "damping", "frequency"} & self.wanted)
+        numbers = bool({"least", "damping", "frequency"} & self.requested)
         fitted: dict[str, m.RingDownMode] = {}
         fit = m.RingDown((), window, 0.0)
-        if window[1] > window[0] and ("fit_error" in self.wanted or (numbers and known is None)):
-            robust = known is None or m.RING_DOWN in self.wanted
+        if window[1] > window[0] and ("fit_error" in self.requested or (numbers and known is None)):
+            robust = known is None or m.RING_DOWN in self.requested
             fitted, fit = fitted_modes(self._samples, self.case, window, known, robust)
         text = (
             f"{fit.method} on the speeds less their mean, {window[0]:g} to {window[1]:g} s, "

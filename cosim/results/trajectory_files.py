@@ -79,12 +79,12 @@ class TrajectoryFiles:
         self.last = part
         self._write(retained)
 
-    def _write(self, kept: Trajectory) -> None:
+    def _write(self, points: Trajectory) -> None:
         first = self._parquet is None
-        table = kept.table()
+        table = points.table()
         with self._named(self.files[0]):
             assert self._csv is not None
-            kept.write_rows(self._csv, header=first)
+            points.write_rows(self._csv, header=first)
         with self._named(self.files[1]):
             if self._parquet is None:
                 import pyarrow.parquet as pq

@@ -168,10 +168,10 @@ class Motion:
             slips = int(self.angle_deg // 360.0)
             why = f"{' and '.join(self.pair or ())} half a turn apart at {self.lost_s:.2f} s, at most "
             why += f"{self.angle_deg:.0f} degrees" + (f", {slips} slip{'s' * (slips > 1)}" if slips else "")
-            return self._made(LOST, why)
+            return self._verdict(LOST, why)
         begin, end = self.window_s
         if not end - begin >= min(LEAST_S, self.stop_s):
-            return self._made(NOT_JUDGED, f"the run ends {end - begin:.2g} s after the last event")
+            return self._verdict(NOT_JUDGED, f"the run ends {end - begin:.2g} s after the last event")
         used = self._spans["controls"].size[2]
         decays = self._decays()
         if limit_pu is not None and used is not None:
@@ -179,14 +179,16 @@ class Motion:
             if at.size:
                 name = self._controls[int(at[0])]
                 what = f"{name} is at its limit of {limit_pu:g} pu in the last {self.width_s:.3g} s"
-                return self._made(STANDING, what, *decays[2])
+                return self._verdict(STANDING, what, *decays[2])
         name, why, spans = decays
         rate = 0.0 if root is None else root.real
         seen = spans[0] >= NOTHING and rate * (end - begin) >= SHOWS
         if root is not None and rate > 0.0 and name in STABLE and not seen:
             pair = f"{rate:+.3g} +- {abs(root.imag):.3g}j"
-            return self._made(GROWING, f"the linear loop has the root {pair} 1/s; in this run {why}", *spans)
-        return self._made(name, why, *spans)
+            return self._verdict(
+                GROWING, f"the linear loop has the root {pair} 1/s; in this run {why}", *spans
+            )
+        return self._verdict(name, why, *spans)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -208,7 +210,7 @@ class Motion:
         spans = self._spans["speeds"].of(0)
         return spans is None or not float(np.max(spans)) >= NOTHING
 
-    def _made(
+    def _verdict(
         self, name: str, why: str, largest: float = 0.0, before: float = 0.0, last: float = 0.0
     ) -> Verdict:
         return Verdict(

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from .instance import Fmus, Instance
 
 _MOST_STATES = 400  #: of a plant whose eigenvectors are worth their time
-_MOST_KEPT = 500
+_MOST_CACHED = 500
 #: events after which the loop is another one for good, unless they end
 _LASTING = {
     "branch_trip",
@@ -72,7 +72,7 @@ class Loop:
     others: tuple[str, ...] = ()
 
     @property
-    def kept(self) -> dict[Any, Any]:
+    def results(self) -> dict[Any, Any]:
         """Linear plants and swings found before, by what they are of."""
         return self.fmus.loops
 
@@ -108,15 +108,15 @@ def _swings(loop: Loop) -> LoopModes:
         matrices = tuple((k, v) for k, v in part.start.items() if k[:2] in ("A[", "B[", "C[", "D["))
         sent = (*paths.items(), *buses.items())
         key = ("swings", str(loop.plant.file.path), str(part.file.path), matrices, sent)
-    if len(loop.kept) > _MOST_KEPT:
-        loop.kept.clear()
-    if key not in loop.kept:
+    if len(loop.results) > _MOST_CACHED:
+        loop.results.clear()
+    if key not in loop.results:
         grid, modes = _linear(loop, buses)
         if part is None:
-            loop.kept[key] = open_loop_modes(np.linalg.eigvals(grid.A).astype(complex), modes)
+            loop.results[key] = open_loop_modes(np.linalg.eigvals(grid.A).astype(complex), modes)
         else:
-            loop.kept[key] = LoopFunction(grid, _controller(loop, part, lost)).modes(paths, modes)
-    cached: LoopModes = loop.kept[key]
+            loop.results[key] = LoopFunction(grid, _controller(loop, part, lost)).modes(paths, modes)
+    cached: LoopModes = loop.results[key]
     return cached
 
 
@@ -146,7 +146,7 @@ def _linear(loop: Loop, buses: Mapping[str, int]) -> tuple[LinearMatrices, dict[
     """
     case, file = loop.case, loop.plant.file
     key = ("plant", str(file.path), *buses.items())
-    if key not in loop.kept:
+    if key not in loop.results:
         states = len(file.model.derivatives)
         if states > _MOST_STATES:
             raise NotLinearError(f"{states} states are more than {_MOST_STATES}")
@@ -157,8 +157,8 @@ def _linear(loop: Loop, buses: Mapping[str, int]) -> tuple[LinearMatrices, dict[
         outputs = dict(zip(names, map(float, linear.output_start), strict=True))
         relative = remove_reference(bus_frequencies(linear, outputs, buses, case.omega_b))
         modes = {name: mode.eigenvalue for name, mode in modes_of(relative, case.areas).items()}
-        loop.kept[key] = (speeds_in_rad(relative, case.omega_b), modes)
-    known: tuple[LinearMatrices, dict[str, complex]] = loop.kept[key]
+        loop.results[key] = (speeds_in_rad(relative, case.omega_b), modes)
+    known: tuple[LinearMatrices, dict[str, complex]] = loop.results[key]
     return known
 
 

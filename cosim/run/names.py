@@ -13,7 +13,7 @@ from ..errors import ScenarioError
 from ..scenario.names import grid_of, no_controller, two_machines, wrong_targets
 from ..scenario.scenario import Scenario
 
-_WANTED = {"case": "a case file", "controller": "a JSON file, an FMU or an IEEE/CIGRE DLL"}
+_EXPECTED = {"case": "a case file", "controller": "a JSON file, an FMU or an IEEE/CIGRE DLL"}
 
 
 def refuse_wrong_names(scenario: Scenario) -> None:
@@ -50,7 +50,7 @@ def _require_regular_files(scenario: Scenario) -> None:
     named |= {f"fmus.{name}.file": scenario.folder / table.file for name, table in scenario.fmus.items()}
     for key, path in named.items():
         if isinstance(path, Path) and path.exists():
-            require_regular(path, _WANTED.get(key, "an FMU"), ScenarioError, key=key)
+            require_regular(path, _EXPECTED.get(key, "an FMU"), ScenarioError, key=key)
 
 
 def _checked_without_fmus(scenario: Scenario, case: Any, missing: bool) -> bool:

@@ -29,7 +29,7 @@ from .artefacts import growth_at_rest
 from .controllers import ControllerLike, controller_of
 from .detector import add_detector, flags
 from .instance import Fmus, Instance
-from .scenario_warnings import made_for_another, outputs_used, times_past_the_end
+from .scenario_warnings import designed_for_another_case, outputs_used, times_past_the_end
 from .swing_signal import swing_of
 from .system import CONTROLLER, PLANT, System
 
@@ -199,7 +199,7 @@ def system_of(
             _start_plant(system, scenario)
         with wrong:
             result = _add_controller(system, scenario, which)
-            system.warnings += made_for_another(result, case)
+            system.warnings += designed_for_another_case(result, case)
         with wrong:
             system.swing = swing or swing_of(case, system.fmus.cache, scenario.swing)
     for name, line in scenario.lines.items():
@@ -266,7 +266,7 @@ def _add_controller(
         if Path(which).suffix in (".fmu", *DLL_SUFFIXES):
             system.controller(which)
             return None
-        controller = controller_of(which, scenario.as_given(system.case), system.fmus.cache)
+        controller = controller_of(which, scenario.as_stated(system.case), system.fmus.cache)
     else:
         controller = controller_of(which, system.case, system.fmus.cache)
     provided = controller

@@ -34,7 +34,7 @@ def times_past_the_end(scenario: Scenario) -> list[str]:
     return lines
 
 
-def made_for_another(controller: Controller | ControllerBank | None, case: Case) -> list[str]:
+def designed_for_another_case(controller: Controller | ControllerBank | None, case: Case) -> list[str]:
     """Return a line where the record of a controller names another case than the one it is to run with."""
     design = getattr(controller, "design", {}) or {}
     provided = design.get("specification")

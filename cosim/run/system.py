@@ -382,13 +382,13 @@ class System:
             return self.result(master)
 
     def gathered(
-        self, master: Master, stop_s: float | None = None, wanted: Collection[str] = (*METRICS, RING_DOWN)
+        self, master: Master, stop_s: float | None = None, requested: Collection[str] = (*METRICS, RING_DOWN)
     ) -> Gathered:
         """Return what takes a run's points, as they come or at once; `stop_s` of the last, if not the end."""
         judge = None
         if self.scenario is not None and self.swing is not None:
             until = {"step_s": master.step_s, "stop_s": self.stop_s if stop_s is None else stop_s}
-            judge = Judge(self.case, self.swing, self.scenario, **until, wanted=wanted)
+            judge = Judge(self.case, self.swing, self.scenario, **until, requested=requested)
         return Gathered(Accumulators(tuple(self.channels)), judge, Curves(master.recorded))
 
     def result(

@@ -346,7 +346,7 @@ class Scenario(Table):
         case = load_case(self.case_path)
         return case if self.as_in_file else operating_variant(case, **self.operating_point.model_dump())
 
-    def as_given(self, case: Case) -> Case:
+    def as_stated(self, case: Case) -> Case:
         """Return `case`, which `load_case` gave, without the change of `operating_point`."""
         from interarea.models.case.case import load_case
 
@@ -406,13 +406,13 @@ def _frequency_hz(table: Mapping[str, Any], where: str, folder: Path) -> float:
         raise ScenarioError(*(f"{where}: {line}" for line in error.args)) from None
 
 
-def _checked(given: dict[str, Any], where: str, folder: Path, frequency_hz: float | None) -> Scenario:
+def _checked(content: dict[str, Any], where: str, folder: Path, frequency_hz: float | None) -> Scenario:
     errors = Collected()
-    table, events = given, ()
+    table, events = content, ()
     with errors:
-        table = in_seconds(given, lambda: frequency_hz or _frequency_hz(given, where, folder))
+        table = in_seconds(content, lambda: frequency_hz or _frequency_hz(content, where, folder))
     if errors.lines:  # cycles of some frequency, for the rest to be looked at
-        table = in_seconds(given, lambda: 50.0)
+        table = in_seconds(content, lambda: 50.0)
     with errors:
         events = _events_of(table.get("event", []), where)
     try:

@@ -20,7 +20,7 @@ from urllib.parse import unquote
 from interarea.fmu_build.check.ssp import STRUCTURE
 from interarea.fmu_build.check.ssp_bindings import SSD, SSM, SSV
 from interarea.fmu_build.finding import Report
-from interarea.fmu_build.open.archive import built_here, unpack_checked
+from interarea.fmu_build.open.archive import built_by_this_package, unpack_checked
 from interarea.fmu_build.open.xml import read_xml
 from interarea.fmu_build.write.cache import default_cache
 from interarea.models.documents import require_regular
@@ -242,7 +242,7 @@ class _Structure:
         fmus: dict[str, dict[str, Any]] = {}
         for place, name in names.items():
             file = self.files[place]
-            fmus[name] = {"file": file, "start": {}, "isolate": not built_here(Path(file))}
+            fmus[name] = {"file": file, "start": {}, "isolate": not built_by_this_package(Path(file))}
         for (place, variable), value in self.values.items():
             if place in names:
                 fmus[names[place]]["start"][variable] = value

@@ -123,8 +123,9 @@ def changes_of(exact: pd.DataFrame, other: pd.DataFrame) -> dict[str, float] | N
         exact["synchronous"].eq(other["synchronous"]).all() and exact["verdict"].eq(other["verdict"]).all()
     ):
         return None
-    kept = exact["synchronous"].astype(bool)
+    synchronous = exact["synchronous"].astype(bool)
     changes = {
-        key: float(np.max(np.abs((exact[key] - other[key])[kept].to_numpy()), initial=0.0)) for key in LARGEST
+        key: float(np.max(np.abs((exact[key] - other[key])[synchronous].to_numpy()), initial=0.0))
+        for key in LARGEST
     }
     return changes if all(changes[key] <= LARGEST[key] for key in LARGEST) else None

@@ -252,8 +252,8 @@ def certify_wrong_signals(
     rows: list[WrongRow] = []
     for number, (point, grid) in enumerate(grids.items()):
         events = disturbances_of(grid, place)
-        asked = (case, controller, signals, chosen, events, disturbances)
-        with_it, without = (list(_jobs(*asked, t)) for t in (table, None))
+        selection = (case, controller, signals, chosen, events, disturbances)
+        with_it, without = (list(_jobs(*selection, t)) for t in (table, None))
         ended = 0
 
         def count_ended(count: int, before: int = number, every: int = len(with_it) + len(without)) -> None:

@@ -123,7 +123,7 @@ def _detector(
 def _certificate(
     subject: Subject,
     detector: Path | None,
-    asked: tuple[Sequence[str] | None, Sequence[str] | None, int],
+    selection: tuple[Sequence[str] | None, Sequence[str] | None, int],
     out: Path,
     cache: Path,
     progress: Callable[[float], object],
@@ -131,17 +131,17 @@ def _certificate(
     """Return the certificate as JSON values, from `out` where that holds it for the same question."""
     file = out / f"certificate_{subject.name}.json"
     compared: tuple[str, ...] = ()
-    made_of = [
+    sources = [
         json.dumps(subject.controller.as_dict(), sort_keys=True),
         subject.case.hash,
         str(subject.place),
-        json.dumps(asked),
+        json.dumps(selection),
         code_hash(WrongRow.__module__),
     ]
     if detector is not None:
         compared = load_detector(detector).signals
-        made_of.append(detector.read_text(encoding="utf-8"))
-    key = hashlib.sha256("\n".join([*made_of, version("interarea")]).encode()).hexdigest()
+        sources.append(detector.read_text(encoding="utf-8"))
+    key = hashlib.sha256("\n".join([*sources, version("interarea")]).encode()).hexdigest()
     if file.is_file():
         stored: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
         if stored.get("key") == key:
@@ -153,9 +153,9 @@ def _certificate(
         cache,
         detector={} if detector is None else {"file": str(detector.absolute())},
         compared=compared,
-        kinds=asked[0],
-        disturbances=asked[1],
-        points=points_of(subject.case, asked[2]),
+        kinds=selection[0],
+        disturbances=selection[1],
+        points=points_of(subject.case, selection[2]),
         progress=progress,
     )
     document = certificate.as_dict() | {"key": key, "detector": {} if detector is None else detector.name}

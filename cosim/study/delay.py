@@ -92,14 +92,14 @@ def redesigned(
     relative: control.StateSpace,
     controller: Controller,
     omega_b: float,
-    wanted: Sequence[Mapping[str, Any]],
+    requests: Sequence[Mapping[str, Any]],
     base: WdcSpec,
 ) -> list[dict[str, Any]]:
     """Design the WDC again with each latency as a Padé model in its design plant; judge both exactly.
 
     relative : full plant without reference angle, speeds in pu. controller : the one designed without, by
-    the specification `base`. wanted : rows latency_s, on ("both" or "remote" signals), order and, unless the
-    usual one, plant_order.
+    the specification `base`. requests : rows latency_s, on ("both" or "remote" signals), order and, unless
+    the usual one, plant_order.
 
     Returns
     -------
@@ -110,7 +110,7 @@ def redesigned(
     """
     plant = speeds_in_rad(relative, omega_b)
     rows: list[dict[str, Any]] = []
-    for requested in wanted:
+    for requested in requests:
         change = {key: requested[key] for key in ("order", "plant_order") if key in requested}
         spec = replace(base, latency_s=requested["latency_s"], latency_on=requested["on"], **change)
         signals = [spec.remote, spec.local] if spec.latency_on == "both" else [spec.remote]

@@ -46,7 +46,7 @@ Document = dict[str, Any]
 
 #: study.json's names of the two wirings -> how scenario names spell them.
 WIRINGS = {"synchronous": "synchronous", "non_synchronous": "non-synchronous"}
-_KEPT = ("trajectory.parquet", "metrics.json")  # of a run, in its folder in the cache
+_RUN_FILES = ("trajectory.parquet", "metrics.json")  # of a run, in its folder in the cache
 TOGETHER = 4  #: runs that one process takes at a time and opens FMUs for once
 LATE_S = 4.0  #: after the last disturbance, when only what swings longest is left
 DEFAULT_LIMIT = 0.15  #: of the controllers' output, pu
@@ -149,7 +149,7 @@ def run_all(
     controllers : those that the scenarios name, as this study designed them.
     """
     folders = run_folders(documents, controllers, cache)
-    missing = [name for name, folder in folders.items() if not all(is_whole(folder / f) for f in _KEPT)]
+    missing = [name for name, folder in folders.items() if not all(is_whole(folder / f) for f in _RUN_FILES)]
     done = len(documents) - len(missing)
     progress(done / len(documents))
     with temporary_folder() as own:
@@ -176,8 +176,8 @@ def run_all(
             name,
             documents[name]["title"],
             documents[name],
-            json.loads((folder / _KEPT[1]).read_text(encoding="utf-8")),
-            folder / _KEPT[0],
+            json.loads((folder / _RUN_FILES[1]).read_text(encoding="utf-8")),
+            folder / _RUN_FILES[0],
         )
         for name, folder in folders.items()
     }
@@ -189,7 +189,7 @@ def run_folders(
     """Return where the results of each scenario are kept: named by all that they come from."""
 
     @once
-    def made_of(case_name: str, controller_name: str) -> list[object]:
+    def sources_of(case_name: str, controller_name: str) -> list[object]:
         case = load_case(case_name)
         parts: list[object] = [case.swing, file_hash(plant_fmu(case, cache))]
         if controller_name in controllers:
@@ -201,7 +201,7 @@ def run_folders(
         return [*parts, code_hash(__name__), source_hash("cosim", "*.[ch]")]
 
     return {
-        name: cache / "runs" / content_hash(document, *made_of(document["case"], document["controller"]))
+        name: cache / "runs" / content_hash(document, *sources_of(document["case"], document["controller"]))
         for name, document in documents.items()
     }
 

@@ -44,7 +44,7 @@ from ..explorer.page import write_linked_explorer
 from ..explorer.wasm import container_wasm
 from ..run.artefacts import channel_fmu, linear_plant, plant_fmu
 from ..run.controllers import controller_fmu, design_controller
-from ..sweep.lane_batches import lanes_here
+from ..sweep.lane_batches import host_lanes
 from . import rows
 from .delay import latency_analysis, pade_record, redesigned
 from .figures import StudyParts, data_of, difference_of, save_figures
@@ -123,15 +123,17 @@ class _Study:
         spec, cache = self.spec, self.cache
         delayed, base = spec["latency"]["controller"], self.specs.get("wdc", WdcSpec())
         assert isinstance(base, WdcSpec)
-        controller, asked = self.controllers[delayed], dict(spec["latency"])
+        controller, latency_spec = self.controllers[delayed], dict(spec["latency"])
         code = code_hash(latency_analysis.__module__)
-        key = content_hash(self.fmus["plant"].name, self.fmus[delayed].name, asked, asdict(base), code)
+        key = content_hash(self.fmus["plant"].name, self.fmus[delayed].name, latency_spec, asdict(base), code)
 
         def analysed() -> dict[str, Any]:
             return latency_analysis(self.in_rad, controller, spec, self.modes, done)
 
         def designed_again() -> Any:
-            return redesigned(self.relative, controller, self.case.omega_b, asked.get("redesign", ()), base)
+            return redesigned(
+                self.relative, controller, self.case.omega_b, latency_spec.get("redesign", ()), base
+            )
 
         def approximated() -> Any:
             return pade_record(self.in_rad, controller, spec, self.delay)
@@ -260,7 +262,7 @@ def _compile(case_name: str, lanes: bool, cache: Path) -> None:
     """Compile what later stages use; whoever uses it says what cannot be had."""
     with suppress(BuildError):
         if lanes:
-            lanes_here(cache)
+            host_lanes(cache)
         container_wasm(cache, case=load_case(case_name))
 
 

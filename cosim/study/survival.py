@@ -31,7 +31,7 @@ from interarea.models.case.variants import operating_variant
 from interarea.models.threads import one_thread
 
 from ..designs.fault_loops import LONG_S, ControllerOrBank, FaultLoops
-from ..designs.fault_runs import FaultRuns, Outcome, longest_kept
+from ..designs.fault_runs import FaultRuns, Outcome, longest_stable
 from ..grid_study.local_stabilizers import Stabilizer, as_controller
 from ..run.artefacts import plant_fmu, plant_for_controllers
 from ..run.controllers import controller_fmu, design_controller
@@ -171,11 +171,11 @@ def _make_rows(
     with Faults(spec, controllers, case, cache) as faults:
         outcomes = faults.outcomes(settings)
 
-        def kept(tried: Mapping[Setting, float]) -> dict[Setting, bool]:
+        def are_stable(tried: Mapping[Setting, float]) -> dict[Setting, bool]:
             result = faults.largest_angles({s: n * cycle_s for s, n in tried.items()})
             return {setting: angle < np.pi for setting, angle in result.items()}
 
-        critical = longest_kept(settings, kept, cycles["from"], cycles["to"], cycles["tolerance"])
+        critical = longest_stable(settings, are_stable, cycles["from"], cycles["to"], cycles["tolerance"])
     plant = plant_for_controllers(case, cache)
     rows = []
     for setting in settings:

@@ -18,7 +18,7 @@ from interarea.models.grid.memory import MIB, require_memory, run_bytes
 
 from ..errors import MACHINE, SweepError
 from ..run.controllers import ControllerLike
-from .lane_batches import lanes_here
+from .lane_batches import host_lanes
 from .plan import SweepPlan, plan_sweep
 from .prepare import prepare
 from .rows import Outcome
@@ -111,7 +111,7 @@ def _refuse_what_no_run_takes(plan: SweepPlan, cache: Path) -> None:
 def _require_memory(plan: SweepPlan, workers: int, runs: int, cache: Path) -> None:
     """Refuse workers whose live plants the memory of this machine would not hold; `runs`: of each."""
     case = max((plan.case(name) for name in plan.cases), key=run_bytes)
-    beside = max(1, min(lanes_here(cache, case).count, runs))
+    beside = max(1, min(host_lanes(cache, case).count, runs))
     each = run_bytes(case, beside, powers=plan.sweep.show is None and shows_powers(case))
     require_memory(
         workers * each,

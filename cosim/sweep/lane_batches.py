@@ -17,7 +17,7 @@ from interarea.models.case.events import slot_count
 from interarea.models.grid.network_tables import has_many_ports
 
 from ..run.artefacts import EVENT_SLOTS
-from .live_instances import Kept
+from .live_instances import LiveLoop
 from .point import CaseChange
 from .shared_start import Job
 
@@ -34,7 +34,7 @@ class Lanes:
     count: int
 
 
-def lanes_here(cache: Path, case: Case | None = None) -> Lanes:
+def host_lanes(cache: Path, case: Case | None = None) -> Lanes:
     """Return what this processor can do; `case`: of the plants, as `plant_sources`.
 
     Plants with many ports go one by one: nothing is compiled for them.
@@ -49,12 +49,12 @@ def lanes_here(cache: Path, case: Case | None = None) -> Lanes:
 
 def lanes_for(cache: Path, cases: Iterable[Case]) -> Lanes:
     """Return what this processor can do for plants of `cases` without devices of their own."""
-    return Lanes(None, 1) if all(map(has_many_ports, cases)) else lanes_here(cache)
+    return Lanes(None, 1) if all(map(has_many_ports, cases)) else host_lanes(cache)
 
 
-def has_lanes(kept: Kept) -> bool:
+def has_lanes(live: LiveLoop) -> bool:
     """Whether the plant among instances that have begun can be stepped with others of its kind."""
-    plant = kept.participants["plant"]
+    plant = live.participants["plant"]
     return plant.group is not None and plant.group.work(plant.component, 2) is not None
 
 

@@ -36,7 +36,7 @@ from .rows import COMMUTATION, Row, deviation_row, measured, packet_counts
 from .shared_start import Beginning, Instances, Job, beginning_of, taken_over
 from .spec import Sweep
 
-KEPT = 4  #: plants, and sets of instances, that stay alive
+MOST_LIVE = 4  #: plants, and sets of instances, that stay alive
 
 
 class TimeUpError(RuntimeError):
@@ -101,15 +101,15 @@ class LiveFmus(Fmus):
     def case(self, change: CaseChange, slots: int) -> Case:
         """Return a changed case whose plant is there until some others have been asked for."""
         key = (change, slots)
-        result = self._live.pop(key, None) or self._made(change, slots)
+        result = self._live.pop(key, None) or self._new_plant(change, slots)
         self._live[key] = result
-        while len(self._live) > KEPT:
+        while len(self._live) > MOST_LIVE:
             old, plant = self._live.popitem(last=False)
             self.on_drop(old)
             plant.close()
         return result.case
 
-    def _made(self, change: CaseChange, slots: int) -> Plant:
+    def _new_plant(self, change: CaseChange, slots: int) -> Plant:
         base = self.base(change.case)
         case = change.apply(base)
         if case is base and slots == EVENT_SLOTS:
@@ -143,7 +143,7 @@ class LiveFmus(Fmus):
 
 
 @dataclass
-class Kept:
+class LiveLoop:
     """Live instances for one structure (case, controller, channels), and the system and master made last.
 
     beginnings : states that runs to come start from, earliest first.
@@ -155,20 +155,20 @@ class Kept:
     master: Master = field(init=False)
     beginnings: list[Beginning] = field(default_factory=list)
 
-    def measure(self, wanted: Collection[str], modes: Sequence[str]) -> Row:
+    def measure(self, requested: Collection[str], modes: Sequence[str]) -> Row:
         """Return the metrics of the run that has come to its end, by column."""
-        judge = self.system.gathered(self.master, wanted=wanted).judge
+        judge = self.system.gathered(self.master, requested=requested).judge
         assert judge is not None  # a sweep's scenario has a case
         trajectory = self.master.trajectory
         judge.add(trajectory)
-        linear = bool({"least", "damping", "frequency"} & set(wanted)) or judge.at_rest
+        linear = bool({"least", "damping", "frequency"} & set(requested)) or judge.at_rest
         roots = self.system.linear_swings() if linear else ""
         metrics = judge.metrics(control_limit_pu(self.master), roots)
         packets = [packet_counts(self.master.participants[name]) for name in self.system.channels]
-        row = measured(metrics, wanted, modes, packets)
+        row = measured(metrics, requested, modes, packets)
         if judge.case.hvdcs:
             row[COMMUTATION] = ", ".join(judge.commutations.failed) or None
-        if SYNCHRONISM in wanted:
+        if SYNCHRONISM in requested:
             row |= deviation_row(self.largest_deviation(trajectory))
         return row
 

@@ -140,7 +140,7 @@ def plan_sweep(
         ("inter-area", *(f"local area {a}" for a in areas)),
         code_version(),
         {
-            name: _kept_fmu(folder / fmu.file, cache, sweep.base.strict)
+            name: _stored_fmu(folder / fmu.file, cache, sweep.base.strict)
             for name, fmu in sweep.base.fmus.items()
         },
         {name: astuple(swing_of(case, cache, sweep.base.swing)) for name, case in cases.items()},
@@ -202,7 +202,7 @@ def own_fmu(cache: Path, key: str) -> Path:
     return path
 
 
-def _kept_fmu(path: Path, cache: Path, strict: bool) -> str:
+def _stored_fmu(path: Path, cache: Path, strict: bool) -> str:
     """Copy an FMU of the user's into the cache, from where it goes to all workers; return its hash.
 
     Raises

@@ -15,7 +15,7 @@ from ..master.kernel.build import load_kernel
 from ..run.artefacts import channel_fmu, concentrator_fmu, detector_fmu, plant_fmu, pmu_fmu
 from ..run.controllers import controller_fmu
 from ..run.detector import patterns_of
-from .lane_batches import lanes_here
+from .lane_batches import host_lanes
 from .plan import SweepPlan, case_in, own_fmu
 
 
@@ -49,7 +49,7 @@ def prepare(plan: SweepPlan, cache: Path) -> list[Path]:
 
 def _plant_binaries(cases: Collection[Case], cache: Path) -> list[Path]:
     """Return the libraries that step plants of `cases` side by side, and their FMUs' binaries."""
-    libraries = (lanes_here(cache, case).library for case in cases)
+    libraries = (host_lanes(cache, case).library for case in cases)
     beside = dict.fromkeys(library.path for library in libraries if library is not None)
     sources = dict.fromkeys(plant_sources(case) for case in cases)
     return [*beside, *(compile_binary("plant", files, host_platform(), cache=cache) for files in sources)]

@@ -163,21 +163,24 @@ def failed_row(sweep: Sweep, run: int, failure: str, reason: str) -> Row:
 
 
 def measured(
-    metrics: Metrics, wanted: Collection[str], modes: Sequence[str], packets: Iterable[Mapping[str, float]]
+    metrics: Metrics,
+    metric_names: Collection[str],
+    modes: Sequence[str],
+    packets: Iterable[Mapping[str, float]],
 ) -> Row:
-    """Return the columns of what was `wanted`; packets : what each channel counted (`packet_counts`)."""
+    """Return the columns of `metric_names`; packets : what each channel counted (`packet_counts`)."""
     row: Row = {}
-    if "least" in wanted:
+    if "least" in metric_names:
         row |= {"damping_least": metrics.least_damping_ratio, "frequency_least": metrics.least_frequency_hz}
-    if "stable" in wanted:
+    if "stable" in metric_names:
         row |= {"stable": metrics.stable, "verdict": None if (v := metrics.verdict) is None else v.name}
     for name, result in (("damping", metrics.damping_ratio), ("frequency", metrics.frequency_hz)):
-        if name in wanted:
+        if name in metric_names:
             row |= {column_of_mode(name, mode): result.get(mode) for mode in modes}
     for name, column in _COLUMNS.items():
-        if name in wanted:
+        if name in metric_names:
             row[column] = getattr(metrics, column)
-    if "packets" in wanted:
+    if "packets" in metric_names:
         counts = list(packets)
         row |= {column: int(sum(c.get(name, 0.0) for c in counts)) for column, name in PACKETS.items()}
     return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in row.items()}

@@ -24,8 +24,8 @@ from ..run.artefacts import EVENT_SLOTS
 from ..run.run import system_of
 from ..run.system import System
 from ..trajectory import Trajectory
-from .lane_batches import PlantKey, by_plant, common_s, has_lanes, how_many, lanes_for, lanes_here, plant_key
-from .live_instances import KEPT, Kept, LiveFmus, TimeUpError, controller_start, watch_of
+from .lane_batches import PlantKey, by_plant, common_s, has_lanes, host_lanes, how_many, lanes_for, plant_key
+from .live_instances import MOST_LIVE, LiveFmus, LiveLoop, TimeUpError, controller_start, watch_of
 from .plan import SweepPlan
 from .point import CaseChange, Point, packed, point_of
 from .rows import Outcome, Row, failed_row, start_row, trajectory_table
@@ -51,7 +51,7 @@ class Runner:
         self.plan, self.cache, self.scratch = plan, cache, scratch
         self._fmus = LiveFmus(plan, cache, scratch)
         self._fmus.on_drop = self._drop
-        self._kept: OrderedDict[Any, Kept] = OrderedDict()
+        self._live: OrderedDict[Any, LiveLoop] = OrderedDict()
         self._packed = packed(plan.sweep)
         self._late = late_parameters(plan.sweep)
         beside = lanes_for(cache, map(self._fmus.base, plan.cases))
@@ -84,7 +84,9 @@ class Runner:
                 yield self._outcome(jobs, k)
             k += count
 
-    def simulate(self, values: Mapping[str, Value], *, seed: int | None = None) -> tuple[Kept, Trajectory]:
+    def simulate(
+        self, values: Mapping[str, Value], *, seed: int | None = None
+    ) -> tuple[LiveLoop, Trajectory]:
         """Run the point where the sweep's parameters have `values`, all channels seeded from `seed` if given.
 
         Raises
@@ -197,7 +199,7 @@ class Runner:
         """Yield what jobs of one plant give, made side by side on instances of their own."""
         self.on_build(*(job.run for job in jobs))
         ended: dict[int, Exception | None] = {}
-        ready = self._made_ready(jobs, ended)
+        ready = self._prepared(jobs, ended)
         self.on_start()
         watch = self._watch()
         begun = self._all_begun(ready, ended, watch)
@@ -223,11 +225,11 @@ class Runner:
         self._unbatched.add(plant_key(job))
         return self._outcome([replace(job, like_next_s=-math.inf)], 0)
 
-    def _made_ready(
+    def _prepared(
         self, jobs: Sequence[Job], ended: dict[int, Exception | None]
-    ) -> list[tuple[Job, Kept, Instances]]:
+    ) -> list[tuple[Job, LiveLoop, Instances]]:
         """Return jobs with instances of their own; one that has none is `ended` with its error."""
-        ready: list[tuple[Job, Kept, Instances]] = []
+        ready: list[tuple[Job, LiveLoop, Instances]] = []
         for job in jobs:
             assert job.point is not None
             try:
@@ -238,12 +240,12 @@ class Runner:
 
     def _all_begun(
         self,
-        ready: Sequence[tuple[Job, Kept, Instances]],
+        ready: Sequence[tuple[Job, LiveLoop, Instances]],
         ended: dict[int, Exception | None],
         watch: Callable[[float, float], None],
-    ) -> list[tuple[Job, Kept, bool]]:
+    ) -> list[tuple[Job, LiveLoop, bool]]:
         """Start the masters; return those that have begun and whether from what another job left."""
-        begun: list[tuple[Job, Kept, bool]] = []
+        begun: list[tuple[Job, LiveLoop, bool]] = []
         for job, retained, instances in ready:
             try:
                 begun.append((job, retained, self._begun(ready, job, retained, instances, watch)))
@@ -251,7 +253,7 @@ class Runner:
                 ended[job.run] = error
         return begun
 
-    def _ended(self, job: Job, error: Exception | None, home: Mapping[int, tuple[Kept, bool]]) -> Outcome:
+    def _ended(self, job: Job, error: Exception | None, home: Mapping[int, tuple[LiveLoop, bool]]) -> Outcome:
         """Return the outcome of a job that came to its end, or to an error."""
         if error is None:
             try:
@@ -262,9 +264,9 @@ class Runner:
 
     def _begun(
         self,
-        ready: Sequence[tuple[Job, Kept, Instances]],
+        ready: Sequence[tuple[Job, LiveLoop, Instances]],
         job: Job,
-        kept: Kept,
+        loop: LiveLoop,
         instances: Instances,
         watch: Callable[[float, float], None],
     ) -> bool:
@@ -272,20 +274,20 @@ class Runner:
 
         The first of them leaves its state where the others begin to differ.
         """
-        first, master = ready[0][1], kept.master
-        forked = kept.start(job, instances, first.beginnings)
-        if kept is first:
+        first, master = ready[0][1], loop.master
+        forked = loop.start(job, instances, first.beginnings)
+        if loop is first:
             shared_s = min(common_s([job for job, _, _ in ready]), seconds(master.clock.stop))
             place = place_of(shared_s, master)
             if place is not None:
-                kept.leave(job, instances, place, watch)
+                loop.leave(job, instances, place, watch)
         return forked
 
-    def _measured(self, job: Job, kept: Kept, forked: bool) -> Outcome:
+    def _measured(self, job: Job, loop: LiveLoop, forked: bool) -> Outcome:
         """Return the outcome of a job that has come to its end."""
         row = start_row(job.run, dict(job.values))
-        row |= kept.measure(self.plan.sweep.metrics, self.plan.modes)
-        return Outcome(row, self._wanted(job.run, row, kept), forked)
+        row |= loop.measure(self.plan.sweep.metrics, self.plan.modes)
+        return Outcome(row, self._requested_trajectory(job.run, row, loop), forked)
 
     def _failure(self, run: int, error: Exception) -> Outcome:
         """Return the outcome of a run that ended with `error`; raise what ends the sweep."""
@@ -302,13 +304,13 @@ class Runner:
         ours = type(error).__module__.startswith("interarea")
         return self._failed(run, "invalid" if ours and not isinstance(error, OSError) else "internal", error)
 
-    def _advance(self, kept: Kept, jobs: Sequence[Job], k: int, instances: Instances) -> None:
+    def _advance(self, loop: LiveLoop, jobs: Sequence[Job], k: int, instances: Instances) -> None:
         """Step a job's master to its end, leaving its state on the way where later jobs start from it."""
-        master, watch = kept.master, self._watch()
+        master, watch = loop.master, self._watch()
         for place in places_to_save(jobs, k, master):
-            kept.leave(jobs[k], instances, place, watch)
+            loop.leave(jobs[k], instances, place, watch)
         master.advance(progress=watch)
-        kept.release(jobs[k].like_next_s)
+        loop.release(jobs[k].like_next_s)
 
     def _watch(self) -> Callable[[float, float], None]:
         """Return what ends a run that computes too long."""
@@ -317,23 +319,23 @@ class Runner:
     # -- private --------------------------------------------------------------------------
 
     def _free_instances(self) -> None:
-        for retained in self._kept.values():
+        for retained in self._live.values():
             retained.close()
-        self._kept.clear()
+        self._live.clear()
 
     def _failed(self, run: int, failure: str, error: BaseException) -> Outcome:
         reason = str(error) if failure != "internal" else f"{type(error).__name__}: {error}"
         return Outcome(failed_row(self.plan.sweep, run, failure, reason))
 
-    def _wanted(self, run: int, row: Row, kept: Kept) -> Any:
+    def _requested_trajectory(self, run: int, row: Row, loop: LiveLoop) -> Any:
         keep = self.plan.sweep.trajectories.keep
         if keep == "none":
             return None
         if keep == "unstable":
-            known = row if "stable" in row else kept.measure(("stable",), ())
+            known = row if "stable" in row else loop.measure(("stable",), ())
             if known["stable"]:
                 return None
-        return trajectory_table(self.plan.sweep, run, kept.master.trajectory)
+        return trajectory_table(self.plan.sweep, run, loop.master.trajectory)
 
     def _search(self, run: int, values: dict[str, Value]) -> Row:
         assert self.plan.sweep.searched is not None
@@ -352,7 +354,7 @@ class Runner:
             fmus=self._fmus,
         )
 
-    def _ready(self, point: Point, busy: Sequence[Kept] = ()) -> tuple[Kept, Instances]:
+    def _ready(self, point: Point, busy: Sequence[LiveLoop] = ()) -> tuple[LiveLoop, Instances]:
         """Return live instances with the start values of a point, wired into a loop; none that is `busy`."""
         scenario, change = point.scenario, point.change
         slots = max(EVENT_SLOTS, slot_count(scenario.event))
@@ -380,16 +382,16 @@ class Runner:
 
     def _library_of(self, case: Case) -> GroupLibrary | None:
         own = case.own_devices and self.library is not None
-        return lanes_here(self.cache, case).library if own else self.library
+        return host_lanes(self.cache, case).library if own else self.library
 
     def _instances(
-        self, structure: tuple[Any, ...], instances: Instances, busy: Sequence[Kept], case: Case
-    ) -> Kept:
+        self, structure: tuple[Any, ...], instances: Instances, busy: Sequence[LiveLoop], case: Case
+    ) -> LiveLoop:
         place = sum(
-            any(retained is b for b in busy) for s, retained in self._kept.items() if s[:-1] == structure
+            any(retained is b for b in busy) for s, retained in self._live.items() if s[:-1] == structure
         )
         structure = (*structure, place)
-        retained = self._kept.pop(structure, None) or Kept()
+        retained = self._live.pop(structure, None) or LiveLoop()
         for name, result in instances.items():
             if name in retained.participants:
                 retained.participants[name].set_start(result.start)
@@ -398,15 +400,15 @@ class Runner:
                 retained.participants[name] = participant_of(
                     name, result.file, result.start, group=group, **result.process
                 )
-        self._kept[structure] = retained
-        while len(self._kept) > KEPT * self.lanes:
-            self._kept.popitem(last=False)[1].close()
+        self._live[structure] = retained
+        while len(self._live) > MOST_LIVE * self.lanes:
+            self._live.popitem(last=False)[1].close()
         return retained
 
     def _drop(self, plant: tuple[CaseChange, int]) -> None:
         """Free the instances of a plant that goes."""
-        for structure in [s for s in self._kept if s[:2] == plant]:
-            self._kept.pop(structure).close()
+        for structure in [s for s in self._live if s[:2] == plant]:
+            self._live.pop(structure).close()
 
 
 def _nothing(*_runs: int) -> None:

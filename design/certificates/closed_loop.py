@@ -208,15 +208,15 @@ def remote_utilisation(K: control.StateSpace, remote: str, omega: float) -> floa
     return part / total if total > 0.0 else 0.0
 
 
-def loss_criterion(plant: control.StateSpace, K: control.StateSpace, kept: str | Sequence[str]) -> float:
+def loss_criterion(plant: control.StateSpace, K: control.StateSpace, present: str | Sequence[str]) -> float:
     """Return the largest real eigenvalue of K_kept(s) G_kept(s) over real s >= 0, as `largest_real_gain`.
 
     Without s = 0 where a common speed that nothing brings back has its pole there.
 
     plant : full plant without reference angle, speeds in rad/s, stable in open loop but for that speed.
-    kept : names of signals.
+    present : names of signals.
     """
-    names = [kept] if isinstance(kept, str) else list(kept)
+    names = [present] if isinstance(present, str) else list(present)
     if not names:
         return 0.0
     G = select(plant, list(K.output_labels), names)
@@ -230,7 +230,7 @@ def loss_criterion(plant: control.StateSpace, K: control.StateSpace, kept: str |
 
 
 def largest_real_gain(
-    K: control.StateSpace, kept: Sequence[str], G: Callable[[float], npt.NDArray[Any]], *, at_rest: bool
+    K: control.StateSpace, present: Sequence[str], G: Callable[[float], npt.NDArray[Any]], *, at_rest: bool
 ) -> float:
     """Return the largest real eigenvalue of K_kept(s) G(s) over real s.
 
@@ -238,7 +238,7 @@ def largest_real_gain(
     signals, and where an eigenvalue passes 1 at a real s there is a real closed-loop pole. Searched on 400
     points from 1e-3 to 1e3 rad/s, then polished between neighbours; at_rest : at s = 0 too.
     """
-    columns = [list(K.input_labels).index(name) for name in kept]
+    columns = [list(K.input_labels).index(name) for name in present]
     b, d = np.asarray(K.B)[:, columns], np.asarray(K.D)[:, columns]
 
     def gain(s: float) -> float:

@@ -158,10 +158,10 @@ class LargePlant:
         C = self.omega_b * output_rows(self.plant, {name: {name: 1.0} for name in signals})
         return lambda s: np.asarray(C @ Shifted(self.plant, s).solve(B))
 
-    def loss_criterion(self, K: control.StateSpace, kept: Sequence[str]) -> float:
+    def loss_criterion(self, K: control.StateSpace, present: Sequence[str]) -> float:
         """Return `closed_loop.loss_criterion` of this plant, from 1e-3 rad/s on."""
-        G = self.response(K.output_labels, kept) if kept else None
-        return 0.0 if G is None else largest_real_gain(K, kept, lambda s: G(s).real, at_rest=False)
+        G = self.response(K.output_labels, present) if present else None
+        return 0.0 if G is None else largest_real_gain(K, present, lambda s: G(s).real, at_rest=False)
 
     def effort(self, K: control.StateSpace) -> float:
         """Return the largest gain of K (I - G K)^-1 over frequency, pu per rad/s, the loop being stable.

@@ -195,10 +195,10 @@ class ControllerBank:
     @classmethod
     def load(cls, path: str | Path) -> ControllerBank:
         """Read a bank written by `save`. Raises ControllerError naming the file and what is wrong."""
-        made = load_controller(path)
-        if not isinstance(made, ControllerBank):
+        controller = load_controller(path)
+        if not isinstance(controller, ControllerBank):
             raise ControllerError(f"controller file {path}: one controller, wanted a bank")
-        return made
+        return controller
 
 
 def bank_of_record(
@@ -227,15 +227,17 @@ def bank_of_record(
         )
     parts = {k: np.split(np.asarray(arrays[k]), np.cumsum(counts)[:-1]) for k, counts in sizes.items()}
     scale = np.array([omega_b if signal.endswith("_dw") else 1.0 for signal in inputs])
-    made = []
+    controllers = []
     for k, (who, n) in enumerate(zip(members, orders, strict=True)):
         if who != OFF:
             A, C = parts["A"][k].reshape(n, n), parts["C"][k].reshape(p, n)
             B, D = parts["B"][k].reshape(n, m) / scale, parts["D"][k].reshape(p, m) / scale
-            made.append(Controller(who, _of_used_signals(A, B, C, D, inputs, outputs), parameters["limit"]))
+            controllers.append(
+                Controller(who, _of_used_signals(A, B, C, D, inputs, outputs), parameters["limit"])
+            )
     return ControllerBank(
         name,
-        tuple(made),
+        tuple(controllers),
         parameters["limit"],
         parameters["fade_time"],
         parameters["loss_time"],

@@ -143,8 +143,8 @@ class Controller:
     @property
     def matrices(self) -> LinearMatrices:
         """A, B, C, D with the names of signals and actuators, units as in `system`."""
-        made: LinearMatrices = vars(self)["_matrices"]
-        return made
+        matrices: LinearMatrices = vars(self)["_matrices"]
+        return matrices
 
     @property
     def inputs(self) -> tuple[str, ...]:

@@ -160,12 +160,12 @@ def rightmost_roots(
     longest = max((ch.latency_s for ch in loop.channels), default=0.0)
     if longest == 0.0:
         values, vectors = np.linalg.eig(loop.undelayed())
-        result = _wanted(values, right_of, least)
+        result = _selected(values, right_of, least)
         return _corrected(loop, values[result], vectors[:, result], tolerance)
     nodes, before = 16 + int(np.ceil(20.0 * longest)), None
     while nodes <= 240:
         values, vectors = np.linalg.eig(discretised(loop, nodes))
-        result = _wanted(values, right_of, least)
+        result = _selected(values, right_of, least)
         if before is not None and _same_set(before, values[result]):
             return _corrected(loop, values[result], vectors[: loop.A0.shape[0], result], tolerance)
         before = values[result]
@@ -176,7 +176,7 @@ def rightmost_roots(
     )
 
 
-def _wanted(values: ComplexMatrix, right_of: float, least: int) -> NDArray[np.intp]:
+def _selected(values: ComplexMatrix, right_of: float, least: int) -> NDArray[np.intp]:
     """Indices of the roots right of the line, rightmost first, at least `least` (pairs kept whole)."""
     order = np.lexsort((values.imag, -values.real))
     count = max(int(np.sum(values.real > right_of)), min(least, values.size))

@@ -50,7 +50,7 @@ class Condition:
             return "lost"
         return "scaled" if self.scale_of else "late" if self.latency_s_of else "all"
 
-    def wanted(self, targets: Mapping[str, T]) -> T | None:
+    def target_of(self, targets: Mapping[str, T]) -> T | None:
         """Return what `targets` (by name of a condition, or by kind) has for this one: by its name first."""
         return targets.get(self.name, targets.get(self.kind))
 

@@ -45,13 +45,13 @@ class TransferMatrix:
         """Return its derivative (N, outputs, inputs)."""
         return np.asarray(-self._right @ self._solved(s, self._solved(s, self._left[None])))
 
-    def _solved(self, s: ComplexArray, given: ComplexArray) -> ComplexArray:
-        """Return (s I - T)^-1 `given`, (N, states, inputs)."""
-        x: ComplexArray = np.zeros((len(s), *given.shape[1:]), dtype=complex)
+    def _solved(self, s: ComplexArray, right_side: ComplexArray) -> ComplexArray:
+        """Return (s I - T)^-1 `right_side`, (N, states, inputs)."""
+        x: ComplexArray = np.zeros((len(s), *right_side.shape[1:]), dtype=complex)
         for k in reversed(range(len(self._T))):
-            x[:, k] = (given[:, k] + np.matmul(self._T[k, k + 1 :], x[:, k + 1 :])) / (s - self._T[k, k])[
-                :, None
-            ]
+            x[:, k] = (right_side[:, k] + np.matmul(self._T[k, k + 1 :], x[:, k + 1 :])) / (
+                s - self._T[k, k]
+            )[:, None]
         return x
 
 

@@ -303,23 +303,23 @@ def select(
     if not isinstance(system, LinearMatrices):
         state_space(system, "plant")
     known_in, known_out = list(system.input_labels), list(system.output_labels)
-    wanted_in = known_in if inputs is None else list(inputs)
+    selected_inputs = known_in if inputs is None else list(inputs)
     combos: dict[str, dict[str, float]] = (
         dict(outputs)
         if isinstance(outputs, dict)
         else {name: {name: 1.0} for name in (known_out if outputs is None else outputs)}
     )
     for kind, requested, known in (
-        ("input", wanted_in, known_in),
+        ("input", selected_inputs, known_in),
         ("output", [o for combo in combos.values() for o in combo], known_out),
     ):
         for name in requested:
             if name not in known:
                 raise UserError(f"unknown {kind} {name!r} of the plant; known are {', '.join(known)}")
-    pick = np.array([known_in.index(name) for name in wanted_in], dtype=int)
+    pick = np.array([known_in.index(name) for name in selected_inputs], dtype=int)
     W = np.zeros((len(combos), len(known_out)))
     for k, combo in enumerate(combos.values()):
         for name, weight in combo.items():
             W[k, known_out.index(name)] += weight
     matrices = (system.A, system.B[:, pick], W @ system.C, W @ system.D[:, pick])
-    return _like(system, matrices, list(system.state_labels), wanted_in, list(combos))
+    return _like(system, matrices, list(system.state_labels), selected_inputs, list(combos))

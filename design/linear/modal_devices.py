@@ -51,7 +51,7 @@ class Modal:
             X[own[good], :size, :size] = vectors[good]
             inverse[own[good], :size, :size] = np.linalg.inv(vectors[good])
         b, c = inverse @ B, C @ X
-        retained, entries = left.kept.shape[0], left.kept.nnz
+        retained, entries = left.remaining.shape[0], left.remaining.nnz
         self.X, self.inverse = (scattered(M, place, place, (states, states)) for M in (X, inverse))
         self.B = scattered(b, place, left.rows, (states, retained))
         self.C = scattered(c, left.rows, place, (retained, states))
@@ -62,7 +62,7 @@ class Modal:
         of = np.where(plain[:, None, None, None], 0.0, c[:, :, None, :] * np.swapaxes(b, 1, 2)[:, None])
         places = left.places.reshape(len(A), B.shape[2] ** 2)
         self._taken = scattered(of.reshape(len(A), B.shape[2] ** 2, -1), places, place, (entries, states))
-        self._kept = left.kept.data
+        self._retained = left.remaining.data
         self._plain = place[plain][place[plain] < states]
         self._A, self._b, self._c, self._places = A[plain], b[plain], c[plain], left.places[plain]
         inside = place[plain]
@@ -82,7 +82,7 @@ class Modal:
         with np.errstate(divide="ignore"):
             scale = 1.0 / (s - self._values)
         scale[self._plain] = 0.0
-        network = self._kept - self._taken @ scale
+        network = self._retained - self._taken @ scale
         if not len(self._plain):
             return DevicesAt(scale, None, network)
         inner = np.linalg.inv(s * np.eye(self._A.shape[1]) - self._A)

@@ -37,15 +37,15 @@ class Elimination:
         #: (K, 2 ends) of each device among those that are kept
         self.rows = np.stack([rows, rows + 1], axis=2).reshape(len(bus), -1)
         #: what is left of G, with an entry wherever a device has one, and where: (K, 2 ends, 2 ends)
-        self.kept, self.places = self._with_blocks(ordered[k:, k:] - self._filled(ordered.shape[0] - k))
+        self.remaining, self.places = self._with_blocks(ordered[k:, k:] - self._filled(ordered.shape[0] - k))
 
-    def _filled(self, kept: int) -> Any:
+    def _filled(self, count: int) -> Any:
         """What the eliminated buses add between those that are kept, in steps of some columns."""
         selected = np.flatnonzero(np.diff(self._upper.indptr))  # the others have no eliminated neighbour
         if self._inner is None or not len(selected):
-            return sparse.csc_matrix((kept, kept))
+            return sparse.csc_matrix((count, count))
         into = sparse.csr_matrix(
-            (np.ones(len(selected)), (np.arange(len(selected)), selected)), shape=(len(selected), kept)
+            (np.ones(len(selected)), (np.arange(len(selected)), selected)), shape=(len(selected), count)
         )
         parts = []
         for first in range(0, len(selected), 256):
@@ -55,18 +55,18 @@ class Elimination:
             parts.append(sparse.csc_matrix(np.where(np.abs(result) > 1e-15 * scale, result, 0.0)))
         return (sparse.hstack(parts, format="csc") @ into).tocsc()
 
-    def _with_blocks(self, kept: Any) -> tuple[Any, IntArray]:
+    def _with_blocks(self, remaining: Any) -> tuple[Any, IntArray]:
         """The matrix with an entry wherever a device has one, zero or not, and where these are."""
-        n, width = kept.shape[0], self.rows.shape[1]
+        n, width = remaining.shape[0], self.rows.shape[1]
         i, j = (
             np.repeat(self.rows[:, :, None], width, axis=2),
             np.repeat(self.rows[:, None, :], width, axis=1),
         )
-        ones = sparse.csc_matrix((np.ones(i.size), (i.ravel(), j.ravel())), shape=kept.shape)
-        pattern = (abs(kept) + ones).tocsc()
+        ones = sparse.csc_matrix((np.ones(i.size), (i.ravel(), j.ravel())), shape=remaining.shape)
+        pattern = (abs(remaining) + ones).tocsc()
         pattern.sort_indices()
         key = np.repeat(np.arange(n), np.diff(pattern.indptr)) * n + pattern.indices
-        entries = kept.tocoo()
+        entries = remaining.tocoo()
         pattern.data = np.zeros(pattern.nnz)
         pattern.data[np.searchsorted(key, entries.col * n + entries.row)] = entries.data
         return pattern, np.searchsorted(key, j * n + i)
@@ -90,8 +90,8 @@ class Network:
     """N(s), or G, on the buses that are left, factored."""
 
     def __init__(self, left: Elimination, entries: npt.NDArray[Any]) -> None:
-        """entries : of the matrix, on the pattern of `left.kept`."""
-        retained = left.kept
+        """entries : of the matrix, on the pattern of `left.remaining`."""
+        retained = left.remaining
         matrix = sparse.csc_matrix((entries, retained.indices, retained.indptr), shape=retained.shape)
         # the order is a good one already, and the diagonal carries the devices: where it does not, such as at
         # a bus of a lossless machine whose conductance is rounding alone, another row of the column pivots

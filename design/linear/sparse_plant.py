@@ -140,12 +140,12 @@ class SparsePlant:
     @cached_property
     def at_rest(self) -> Network:
         """The network with the devices' states held: voltages from currents."""
-        return Network(self.elimination, self.elimination.kept.data)
+        return Network(self.elimination, self.elimination.remaining.data)
 
     @cached_property
     def devices(self) -> tuple[Any, Any, Any]:
         """A (n, n), B (n, rows), C (rows, n) of all devices, sparse; rows of what is left of the network."""
-        n, retained, rows = self.nstates, self.elimination.kept.shape[0], self.elimination.rows
+        n, retained, rows = self.nstates, self.elimination.remaining.shape[0], self.elimination.rows
         return (
             scattered(self.A, self.place, self.place, (n, n)),
             scattered(self.B, self.place, rows, (n, retained)),

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 #: A `control.StateSpace` in continuous time, or its matrices (A, B, C, D)
 SystemLike: TypeAlias = "control.StateSpace | tuple[Any, Any, Any, Any]"
 
-_WANTED = "wanted a control.StateSpace or its matrices (A, B, C, D)"
+_EXPECTED = "wanted a control.StateSpace or its matrices (A, B, C, D)"
 _ADVICE = {
     "TransferFunction": "control.ss(system) makes one",
     "dict": "control.ss(d['A'], d['B'], d['C'], d['D'])",
@@ -57,7 +57,7 @@ def state_space(provided: object, what: str = "system") -> control.StateSpace:
 
     system = _of_matrices(provided, what) if _is_matrices(provided) else provided
     if not isinstance(system, control.StateSpace):
-        raise LinearSystemError(f"{what}: is {kind_of(system)}, {_WANTED}{_advice(system)}")
+        raise LinearSystemError(f"{what}: is {kind_of(system)}, {_EXPECTED}{_advice(system)}")
     if system.isdtime(strict=True):
         step = "of no given length" if system.dt is True else f"= {system.dt:g} s"
         raise LinearSystemError(

@@ -201,10 +201,10 @@ class _Exact:
         return sorted(settled, key=lambda p: p.value.imag)
 
 
-def _counted(exact: _Exact, asked: Region) -> tuple[Region, Count]:
+def _counted(exact: _Exact, whole: Region) -> tuple[Region, Count]:
     """Count within the region, with its sides moved off the modes that lie on them."""
     known = [*(p.value for p in exact.pairs), *exact.search.beside]
-    region = asked.clear_of(known)
+    region = whole.clear_of(known)
     for _ in range(_ROUNDS):
         try:
             return region, count_modes(exact.search.loop, region, known)

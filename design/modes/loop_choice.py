@@ -144,16 +144,16 @@ def _require(kinds: Sequence[str], latency_s: float, together: int, actuators: S
         )
 
 
-def _targets(modes: Sequence[Mode], wanted: Sequence[str]) -> list[int]:
+def _targets(modes: Sequence[Mode], chosen: Sequence[str]) -> list[int]:
     labels = [mode.name for mode in modes]
     more = f" and {len(labels) - _LISTED} more" if len(labels) > _LISTED else ""
     listed = (", ".join(labels[:_LISTED]) or "none") + more
-    for name in wanted:
+    for name in chosen:
         if name not in labels:
             raise ModeError(
                 f"no mode {name!r} in this band and below this damping ratio; there are: {listed}"
             )
-    targets = [k for k, n in enumerate(labels) if (n in wanted if wanted else n.startswith("inter-area"))]
+    targets = [k for k, n in enumerate(labels) if (n in chosen if chosen else n.startswith("inter-area"))]
     if not targets:
         raise ModeError(
             f"no inter-area mode in this band and below this damping ratio; there are: {listed}; widen "
@@ -162,11 +162,11 @@ def _targets(modes: Sequence[Mode], wanted: Sequence[str]) -> list[int]:
     return targets
 
 
-def _actuators(plant: SparsePlant, wanted: Sequence[str]) -> list[str]:
-    for name in wanted:
+def _actuators(plant: SparsePlant, chosen: Sequence[str]) -> list[str]:
+    for name in chosen:
         if name not in plant.inputs:
             raise ModeError(f"no actuator {name!r}; the plant has {', '.join(plant.inputs[:12])}")
-    names = list(wanted or plant.inputs)
+    names = list(chosen or plant.inputs)
     require_actuator(names)
     return names
 

@@ -64,10 +64,10 @@ class _Cell:
         return _Cell((x[0], z.real), y), _Cell((z.real, x[1]), y)
 
 
-def _cells(region: Region, wanted: int) -> list[_Cell]:
+def _cells(region: Region, count: int) -> list[_Cell]:
     """About so many cells of equal area, nearly square, over a region as far as the first search looks."""
     (low, high), slope = region.band, region.slope
-    area = (high - low) * (0.5 * slope * (low + high) + _GROWTH) / wanted
+    area = (high - low) * (0.5 * slope * (low + high) + _GROWTH) / count
     cells, y = [], low
     while y < high:
         width = slope * y + _GROWTH

@@ -41,7 +41,9 @@ _ENDS, _OF_CUT = 1e-8, 1.0  # of Y' Z, or of the first value cut: growth where t
 _POOR = 1e-2  # where it did not work at all
 _ZERO = 1e-4  # 1/s: modes nearer to 0 are the rotation of all rotors, and with constant torque their speed
 _TURNS, _LOOKS, _STILL = 8, 4, 1e-9  # of the iteration for zero modes between two looks; its end
-_KEPT = 1e-9  # of the largest: a zero mode with less than that of input and output is none of the response
+_LEAST_ZERO_MODE = (
+    1e-9  # of the largest: a zero mode with less than that of input and output is none of the response
+)
 _CHECK_HZ, _CHECKED, _RINGING = (0.1, 2.5), 40, 0.2
 
 
@@ -75,7 +77,10 @@ def low_rank_reduction(
         raise ReductionError(f"order = {order}: must be a whole number from 1 to {plant.nstates}")
     zero = _zero_modes(plant, B, C)
     A0, B0, C0 = zero.left.T @ plant.times(zero.right), zero.left.T @ B, C @ zero.right
-    seen = bool(np.max(np.abs(C0) @ np.abs(B0), initial=0.0) > _KEPT * np.linalg.norm(B) * np.linalg.norm(C))
+    seen = bool(
+        np.max(np.abs(C0) @ np.abs(B0), initial=0.0)
+        > _LEAST_ZERO_MODE * np.linalg.norm(B) * np.linalg.norm(C)
+    )
     rest = order - (len(A0) if seen else 0)
     if rest < 1:
         raise ReductionError(

@@ -71,7 +71,7 @@ def design_robust(
     rng = np.random.default_rng(spec.seed)
     with one_blas_thread():
         if spec.stages:
-            starts = [] if spec.start is None else [given_start(objective, spec)]
+            starts = [] if spec.start is None else [stated_start(objective, spec)]
             theta, count, result = staged_search(
                 objective,
                 spec.stages,
@@ -120,18 +120,18 @@ def planned(spec: RobustSpec, conditions: float, points: int) -> dict[str, float
     >>> planned(spec, 1.0, 2)
     {'start 1 of 1': 1200.0, 'polish 3 of 3': 1800.0}
     """
-    starts_given = int(spec.start is not None)
+    first_starts = int(spec.start is not None)
     models = conditions * points
     each = ROUND * max(spec.evaluations // ROUND, 1)
     parts: dict[str, float] = {}
     if spec.stages:
         for k, stage in enumerate(spec.stages, start=1):
             share = len(stage.points or range(points)) * (len(stage.conditions) or conditions)
-            for what in stage_parts(k, len(spec.stages), spec.starts + starts_given):
+            for what in stage_parts(k, len(spec.stages), spec.starts + first_starts):
                 parts[what] = share * len(stage.rho) * TURNS * (stage.steps * STEP + BETWEEN)
     else:
         starts = conditions * (min(spec.starts_on, points) or points)
-        count = spec.starts + starts_given
+        count = spec.starts + first_starts
         parts |= {f"start {k} of {count}": starts * each for k in range(1, count + 1)}
         parts |= {
             f"polish {k + 3} of {spec.polishes}": models * 3 * ROUND for k in range(0, spec.polishes, 3)
@@ -165,7 +165,7 @@ def _from_random(
     easier = build_objective(first, spec, omega_b) if len(first) < len(plants) else objective
     rows: list[tuple[float, Array]] = []
     count = 0
-    starts = [] if spec.start is None else [given_start(easier, spec)]
+    starts = [] if spec.start is None else [stated_start(easier, spec)]
     starts += [_stable_start(easier, rng) for _ in range(spec.starts)]
     for k, start in enumerate(starts):
         what = f"start {k + 1} of {len(starts)}"
@@ -209,7 +209,7 @@ def _stable_start(objective: Objective, rng: np.random.Generator) -> Array:
     return objective.pack(A, B, C)
 
 
-def given_start(objective: Objective, spec: RobustSpec) -> Array:
+def stated_start(objective: Objective, spec: RobustSpec) -> Array:
     """Return the parameters of the controller that `spec` starts from.
 
     Raises

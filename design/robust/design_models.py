@@ -46,7 +46,7 @@ def build_objective(plants: Mapping[str, control.StateSpace], spec: RobustSpec, 
         response = frequency_response(full.A, full.B, full.C, full.D, omega)
         for condition in spec.conditions:
             name = f"{point}: {condition.name}"
-            requested = (spec.more.get(point), condition.wanted(spec.more_under))
+            requested = (spec.more.get(point), condition.target_of(spec.more_under))
             more = tuple(each for each in requested if each is not None)
             models.append(replace(_design_model(name, small, spec, condition), more=more))
             limited = not spec.effort_under or condition.name in spec.effort_under

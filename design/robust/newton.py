@@ -167,7 +167,7 @@ class Expansion:
         move = np.zeros(n)
         for rho in (0.125 * self.rho, 0.35 * self.rho, self.rho):
             smooth = replace(self, rho=rho)
-            value_here = smooth.value(move) + 0.5 * held * float(move @ move)
+            current = smooth.value(move) + 0.5 * held * float(move @ move)
             for _ in range(30):
                 slope, hessian = smooth.derivatives(move)
                 slope = slope + held * move
@@ -179,12 +179,12 @@ class Expansion:
                 while length > 1e-6:
                     moved = move + length * step
                     there = smooth.value(moved) + 0.5 * held * float(moved @ moved)
-                    if there <= value_here - 0.1 * length * fall:
+                    if there <= current - 0.1 * length * fall:
                         break
                     length *= 0.5
                 else:
                     break
-                move, value_here = moved, there
+                move, current = moved, there
         return move, self.value(np.zeros(n)) - self.value(move)
 
     def _weighed(self, move: Array) -> tuple[float, Array]:
@@ -282,12 +282,12 @@ class _Curvature:
 
     def __init__(self, moves: _Moves) -> None:
         self._moves, self._count = moves, 0
-        self._kept: list[tuple[npt.NDArray[Any], ...]] = []
+        self._rows: list[tuple[npt.NDArray[Any], ...]] = []
         self._half = np.zeros((moves.size, moves.size))
 
     def add(self, *of_each: npt.NDArray[Any]) -> None:
         """Add k eigenvalues: weights, dv (k,), bends (k, 3), first, outs, ins, resolvents of `_Moves`."""
-        self._kept.append(of_each)
+        self._rows.append(of_each)
         self._count += len(of_each[0])
         if self._count >= TOGETHER:
             self._flush()
@@ -298,12 +298,12 @@ class _Curvature:
         return self._half + self._half.T
 
     def _flush(self) -> None:
-        if not self._kept:
+        if not self._rows:
             return
         weight, dv, bends, first, outs, ins, resolvents = (
-            np.concatenate(each) for each in zip(*self._kept, strict=True)
+            np.concatenate(each) for each in zip(*self._rows, strict=True)
         )
-        self._kept, self._count = [], 0
+        self._rows, self._count = [], 0
         da, db = first.real, first.imag
         aa, ab, bb = weight * bends.T
         self._half += self._moves.second(outs * (weight * dv)[:, None], ins, resolvents)

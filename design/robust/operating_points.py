@@ -159,22 +159,22 @@ def _effort(plant: JudgedPlant, K: control.StateSpace) -> float:
 def _short_at(
     rows: Sequence[FamilyRow],
     conditions: Sequence[Condition],
-    asked: tuple[float, float],
+    required: tuple[float, float],
     targets: Mapping[str, tuple[float, float]],
     at: Mapping[str, tuple[float, float]] | None,
 ) -> Iterator[str]:
     """Yield the violations of the requirements: those of `at` at its points, elsewhere the common ones."""
     at = at or {}
-    yield from _short_of([row for row in rows if row.point not in at], conditions, asked, targets)
-    for point, here in at.items():
+    yield from _short_of([row for row in rows if row.point not in at], conditions, required, targets)
+    for point, own_ask in at.items():
         own = [row for row in rows if row.point == point]
-        yield from (f"{point}: {text}" for text in _short_of(own, conditions, here, {}))
+        yield from (f"{point}: {text}" for text in _short_of(own, conditions, own_ask, {}))
 
 
 def _short_of(
     rows: Sequence[FamilyRow],
     conditions: Sequence[Condition],
-    asked: tuple[float, float],
+    required: tuple[float, float],
     targets: Mapping[str, tuple[float, float]],
 ) -> Iterator[str]:
     """Yield the violations of the target of each kind of condition, or of the common requirements."""
@@ -185,7 +185,7 @@ def _short_of(
             continue
         where = f" under {kind}" if kind in {c.name for c in conditions} else f" with signals {kind}"
         where = where if kind else ""
-        requested = targets.get(kind, asked)
+        requested = targets.get(kind, required)
         for name, of, least in zip(
             ("worst swing", "inter-area"), ("worst_swing", "inter_area"), requested, strict=True
         ):
@@ -194,14 +194,14 @@ def _short_of(
                 yield f"{name} damping{where} is {value:.4g}, required {_required(selected, of, least)}"
 
 
-def _required(rows: Sequence[FamilyRow], of: str, wanted: float) -> str:
+def _required(rows: Sequence[FamilyRow], of: str, least_allowed: float) -> str:
     """Return the required damping ratio, the number of rows that violate it, and the worst one."""
-    short = [row for row in rows if not getattr(row, of) >= wanted]
+    short = [row for row in rows if not getattr(row, of) >= least_allowed]
     if not short:
-        return f">= {wanted:g}"
+        return f">= {least_allowed:g}"
     least = min(short, key=lambda row: float(getattr(row, of)))
     count = f"{len(short)} of {len(rows)} conditions"
-    return f">= {wanted:g}: violated in {count}, worst at {least.point}, {least.condition}"
+    return f">= {least_allowed:g}: violated in {count}, worst at {least.point}, {least.condition}"
 
 
 def _loss_criteria(

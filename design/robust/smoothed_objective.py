@@ -315,11 +315,11 @@ class Objective:
             & (a < ZERO_EIGENVALUE)
             & (modulus <= modulus.min(axis=-1, keepdims=True))
         )
-        asked = offset + a / m + away**2, da + 2.0 * away - 1j * (db + slope * np.sign(b))
+        demand = offset + a / m + away**2, da + 2.0 * away - 1j * (db + slope * np.sign(b))
         stable = steep * a / m + away**2, steep * da + 2.0 * away - 1j * steep * db
         values_of, slopes_of = (
             np.concatenate([np.where(is_common, common, each) for each in both], axis=-1)
-            for common, both in zip((-1.0, 0.0), zip(asked, stable, strict=True), strict=True)
+            for common, both in zip((-1.0, 0.0), zip(demand, stable, strict=True), strict=True)
         )
         return values_of, slopes_of
 

@@ -207,13 +207,13 @@ def first_certified(
     return None
 
 
-def from_slack(given: float | None, ladder: Sequence[float]) -> Sequence[float]:
+def from_slack(first: float | None, ladder: Sequence[float]) -> Sequence[float]:
     """Return the slacks to try: those of `ladder`, or the given one and the larger ones.
 
     >>> from_slack(None, (1e-3, 1e-2)), from_slack(5e-3, (1e-3, 1e-2))
     ((0.001, 0.01), (0.005, 0.01))
     """
-    return ladder if given is None else (given, *(x for x in ladder if x > given))
+    return ladder if first is None else (first, *(x for x in ladder if x > first))
 
 
 def describe_mode(value: complex) -> str:

@@ -339,7 +339,7 @@ def _explain(
     )
 
 
-def _nearest(P: GeneralizedPlant, region: PoleRegion, name: str, asked: float, engine: str) -> float:
+def _nearest(P: GeneralizedPlant, region: PoleRegion, name: str, requested: float, engine: str) -> float:
     """Bisect for the feasible decay rate or radius nearest to the one asked for."""
 
     def feasible(x: float) -> bool:
@@ -352,8 +352,8 @@ def _nearest(P: GeneralizedPlant, region: PoleRegion, name: str, asked: float, e
         return usable(trial, solve(trial, engine))
 
     if name == "decay_rate":
-        return largest_feasible(feasible, 0.0, asked) or 0.0
-    result = largest_feasible(feasible, 1e-4 / asked, 1.0 / asked, steps=14)
+        return largest_feasible(feasible, 0.0, requested) or 0.0
+    result = largest_feasible(feasible, 1e-4 / requested, 1.0 / requested, steps=14)
     return float("inf") if result is None else 1.0 / result
 
 

@@ -61,7 +61,7 @@ def run_topics(todo: list[list[str]], folder: Path, report: Report, timeout_s: f
             todo = [t for t in todo if t[0] != last[0]]
 
 
-def _folders_here() -> tuple[str, ...]:
+def _host_folders() -> tuple[str, ...]:
     """`host_folders`, none where no binary is made for this machine."""
     try:
         return host_folders()
@@ -69,13 +69,13 @@ def _folders_here() -> tuple[str, ...]:
         return ()
 
 
-def loadable_here(image: Image) -> bool:
+def loadable_on_host(image: Image) -> bool:
     """Return whether this machine can load a library."""
-    return not set(image.folders).isdisjoint(_folders_here())
+    return not set(image.folders).isdisjoint(_host_folders())
 
 
 def _binary(folder: Path, identifier: str) -> Path | None:
-    files = (folder / "binaries" / name / (identifier + FOLDERS[name][2]) for name in _folders_here())
+    files = (folder / "binaries" / name / (identifier + FOLDERS[name][2]) for name in _host_folders())
     return next((file for file in files if file.is_file()), None)
 
 

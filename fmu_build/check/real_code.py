@@ -17,7 +17,7 @@ from pathlib import Path
 from ..finding import Report
 from ..open.images import ImageError, read_image
 from ..open.real_code import ERROR, REQUIRED, TEXT, RealCode, RealCodeLibrary, Values, structure
-from .load import loadable_here
+from .load import loadable_on_host
 from .runs import Tell
 
 INTERFACE = "DLL"
@@ -54,7 +54,7 @@ def check_library(path: Path, report: Report) -> bool:
     if missing:
         reason = f"no IEEE/CIGRE DLL: it does not have {', '.join(missing)}"
         report.add("DLL functions", path.name, reason, "export them under these names, as C functions")
-    loads = loadable_here(image)
+    loads = loadable_on_host(image)
     if not loads:
         report.not_run.append(f"a library for {kind or image.machine} cannot be loaded here")
     return loads and not missing

@@ -32,7 +32,7 @@ _OF_NAMES = {
 }
 
 
-def built_here(fmu: Path) -> bool:
+def built_by_this_package(fmu: Path) -> bool:
     """Whether the description of an FMU names this program; True of what cannot be read: opening says why."""
     try:
         with zipfile.ZipFile(fmu) as archive, archive.open("modelDescription.xml") as text:
@@ -42,7 +42,7 @@ def built_here(fmu: Path) -> bool:
 
 
 def unpack_checked(
-    path: Path, folder: Path, report: Report, *, wanted: Callable[[str], bool] | None = None
+    path: Path, folder: Path, report: Report, *, chosen_by: Callable[[str], bool] | None = None
 ) -> bool:
     """Unpack `path` into `folder`; return False, with findings, if it must not or cannot be unpacked.
 
@@ -50,7 +50,7 @@ def unpack_checked(
     ----------
     folder : an existing, empty folder.
     report : receives findings about entries; some of them do not stop the unpacking.
-    wanted : of an entry's name, whether it is unpacked; default: all are.
+    chosen_by : of an entry's name, whether it is unpacked; default: all are.
     """
     try:
         with zipfile.ZipFile(path) as archive:
@@ -58,7 +58,7 @@ def unpack_checked(
             if not _begins_with_the_file(entries, path, report) or not _entries_are_harmless(entries, report):
                 return False
             _check_entries(entries, report)
-            chosen = [e for e in entries if wanted is None or wanted(e.filename)]
+            chosen = [e for e in entries if chosen_by is None or chosen_by(e.filename)]
             return _unpack(archive, chosen, folder, report)
     except (
         zipfile.BadZipFile,

@@ -333,10 +333,10 @@ class Instance:
         self.do("SerializeFMUstate", state, retained, size)
         return retained.raw
 
-    def deserialise(self, kept: bytes) -> c_void_p:
+    def deserialise(self, content: bytes) -> c_void_p:
         """Return an FMU state from bytes."""
         state = c_void_p()
-        self.do("DeSerializeFMUstate", kept, len(kept), byref(state))
+        self.do("DeSerializeFMUstate", content, len(content), byref(state))
         return state
 
 

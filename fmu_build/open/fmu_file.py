@@ -91,7 +91,7 @@ class FmuFile:
         report, folder = Report(str(self.path)), new_folder()
         whole = False
         try:
-            whole = unpack_checked(self.path, folder, report, wanted=lambda n: n.startswith(folders))
+            whole = unpack_checked(self.path, folder, report, chosen_by=lambda n: n.startswith(folders))
         finally:
             if not whole:
                 shutil.rmtree(folder, ignore_errors=True)

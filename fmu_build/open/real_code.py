@@ -159,8 +159,8 @@ class RealCode:
                 for values in places:
                     values[name] = value
             except (TypeError, ValueError, OverflowError) as error:
-                wanted = "allowed: a number of the port's type, or a text where the port is one"
-                raise FmuFileError(f"{library.path.name}: {name} = {value!r}, {wanted}") from error
+                allowed = "allowed: a number of the port's type, or a text where the port is one"
+                raise FmuFileError(f"{library.path.name}: {name} = {value!r}, {allowed}") from error
         words = {"IntStates": info.n_int, "FloatStates": info.n_float, "DoubleStates": 2 * info.n_double}
         self.states = {name: bytearray(_GUARD + bytes(4 * n) + _GUARD) for name, n in words.items()}
         states = (addressof(c_uint8.from_buffer(array, len(_GUARD))) for array in self.states.values())

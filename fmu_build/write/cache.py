@@ -206,7 +206,7 @@ def _proof(path: Path) -> Path:
 
 
 @dataclass(frozen=True)
-class Kept:
+class Artefact:
     """An artefact in the cache."""
 
     kind: str  #: name of its folder
@@ -215,16 +215,16 @@ class Kept:
     used_s: float  #: when it was last asked for, seconds since the epoch
 
 
-def artefacts_in(cache: Path) -> list[Kept]:
+def artefacts_in(cache: Path) -> list[Artefact]:
     """Return what the cache holds, the longest unused first; what the compiler keeps is one of them."""
     artefacts = []
     for folder in cache.iterdir() if cache.is_dir() else ():
         if folder.name.startswith("interarea-") or not folder.is_dir():
             continue
         files = [(p, p.stat()) for p in folder.rglob("*") if p.is_file() and p.suffix != _PROOF]
-        rows = [Kept(folder.name, p, s.st_size, _used(p, s.st_mtime)) for p, s in files]
+        rows = [Artefact(folder.name, p, s.st_size, _used(p, s.st_mtime)) for p, s in files]
         if folder.name == COMPILERS_OWN and rows:
-            rows = [Kept(COMPILERS_OWN, folder, sum(r.size for r in rows), max(r.used_s for r in rows))]
+            rows = [Artefact(COMPILERS_OWN, folder, sum(r.size for r in rows), max(r.used_s for r in rows))]
         artefacts += rows
     return sorted(artefacts, key=lambda k: k.used_s)
 
@@ -236,7 +236,7 @@ def _used(path: Path, written_s: float) -> float:
         return written_s
 
 
-def damaged(cache: Path) -> list[Kept]:
+def damaged(cache: Path) -> list[Artefact]:
     """Return the artefacts that are not what was written; nothing proves what the compiler keeps."""
     from interarea.models.devices.header import FOLDER, is_named_by_content  # no more than this needs them
 
@@ -244,10 +244,10 @@ def damaged(cache: Path) -> list[Kept]:
     return [k for k in artefacts_in(cache) if not whole.get(k.kind, is_whole)(k.path)]
 
 
-def remove(kept: Iterable[Kept]) -> int:
+def remove(removed: Iterable[Artefact]) -> int:
     """Remove artefacts with their proofs; return how many bytes they had. What is needed is made again."""
     freed = 0
-    for k in kept:
+    for k in removed:
         if k.path.is_dir():
             shutil.rmtree(k.path, ignore_errors=True)
         else:

@@ -310,8 +310,8 @@ def _object(
             (result.parent / part).write_bytes(sources[part])
         _run_compiler([*command, "-c", name, "-I.", "-o", result.name], result.parent, cache, kind, to.name)
 
-    made_of = (name, [sources[part] for part in parts], command, version)
-    digest = hashlib.sha256(repr(made_of).encode()).hexdigest()[:24]
+    key_parts = (name, [sources[part] for part in parts], command, version)
+    digest = hashlib.sha256(repr(key_parts).encode()).hexdigest()[:24]
     stem = name.removesuffix(".c")
     key = f"{stem}-{to.name}-{digest}"
     with one_at_a_time(cache / f"{key}.lock"):  # a plant takes a compiler 25 s: another process may be at it
@@ -349,8 +349,8 @@ def _digest(
     kind: str, sources: tuple[tuple[str, bytes], ...], flags: tuple[str, ...], to: Platform, version: str
 ) -> str:
     """Hash of what decides the bytes of a binary; known for a kind that was exported before."""
-    made_of = (kind, sources, list(flags), to.targets, to.name, version)
-    return hashlib.sha256(repr(made_of).encode()).hexdigest()[:24]
+    key_parts = (kind, sources, list(flags), to.targets, to.name, version)
+    return hashlib.sha256(repr(key_parts).encode()).hexdigest()[:24]
 
 
 def _run_compiler(command: list[str], folder: Path, cache: Path, kind: str, platform: str) -> None:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from interarea.fmu_build.write.cache import Kept
+    from interarea.fmu_build.write.cache import Artefact
 
 _MB, _DAY_S = 1e6, 86400.0
 
@@ -51,7 +51,7 @@ def cache(
     from interarea.models.files import sweep
 
     folder = default_cache()
-    going: list[Kept] = damaged(folder) if check else []
+    going: list[Artefact] = damaged(folder) if check else []
     bad, left = len(going), sweep(folder)
     freed = remove(going)
     retained = artefacts_in(folder)
@@ -69,9 +69,9 @@ def cache(
         print(f"{freed / _MB:.1f} MB freed")
 
 
-def _show(folder: Path, kept: Sequence[Kept], bad: int, freed: int, *, json_: bool) -> None:
+def _show(folder: Path, artefacts: Sequence[Artefact], bad: int, freed: int, *, json_: bool) -> None:
     """Print how much there is of each kind."""
-    kinds = {kind: [k for k in kept if k.kind == kind] for kind in sorted({k.kind for k in kept})}
+    kinds = {kind: [k for k in artefacts if k.kind == kind] for kind in sorted({k.kind for k in artefacts})}
     sizes = {kind: sum(k.size for k in selected) for kind, selected in kinds.items()}
     if json_:
         about = {kind: {"files": len(selected), "bytes": sizes[kind]} for kind, selected in kinds.items()}
@@ -90,15 +90,15 @@ def _show(folder: Path, kept: Sequence[Kept], bad: int, freed: int, *, json_: bo
     print_table(str(folder), ("kind", "files", "MB", "longest unused, days"), rows)
 
 
-def _unused(kept: Sequence[Kept], days: float | None) -> int:
-    """Return how many of `kept`, the longest unused first, were not used for so long; None: nobody asks."""
-    return 0 if days is None else sum(k.used_s < time.time() - _DAY_S * days for k in kept)
+def _unused(artefacts: Sequence[Artefact], days: float | None) -> int:
+    """Return how many of `artefacts`, the longest unused first, were not used for `days`; None: no limit."""
+    return 0 if days is None else sum(k.used_s < time.time() - _DAY_S * days for k in artefacts)
 
 
-def _too_many(kept: Sequence[Kept], most_mb: float | None) -> int:
-    """Return how many of `kept`, from the front, have to go for the others to have at most `most_mb`."""
-    left, count = float(sum(k.size for k in kept)), 0
-    while most_mb is not None and count < len(kept) and left > most_mb * _MB:
-        left -= kept[count].size
+def _too_many(artefacts: Sequence[Artefact], most_mb: float | None) -> int:
+    """Return how many of `artefacts`, from the front, have to go for the others to have at most `most_mb`."""
+    left, count = float(sum(k.size for k in artefacts)), 0
+    while most_mb is not None and count < len(artefacts) and left > most_mb * _MB:
+        left -= artefacts[count].size
         count += 1
     return count

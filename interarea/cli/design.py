@@ -88,8 +88,8 @@ def design(
 
     file_for(out, suffix=".json")
     if (grid := grid_of(spec, dyr)) is not None:
-        made, written = design_for_grid(spec, grid[0], out, minutes)
-        _show_made(made, grid[1], written, json_=json_)
+        grid_design, written = design_for_grid(spec, grid[0], out, minutes)
+        _show_grid_design(grid_design, grid[1], written, json_=json_)
         return
     if minutes is not None:
         from interarea.models.errors import UserError
@@ -154,18 +154,20 @@ def _show_designed(
             typer.echo(path)
 
 
-def _show_made(made: GridDesign, assumptions: list[str], files: list[Path], *, json_: bool) -> None:
+def _show_grid_design(
+    grid_design: GridDesign, assumptions: list[str], files: list[Path], *, json_: bool
+) -> None:
     """Print the results of a design for a grid; exit code 1 if it misses a requirement."""
     from interarea.cosim.grid_study.page import sentence
 
-    reasons = list(made.proposal.reasons)
+    reasons = list(grid_design.proposal.reasons)
     if json_:
         document = {
-            "controller": made.controller.name,
-            "certificate": made.certificate,
+            "controller": grid_design.controller.name,
+            "certificate": grid_design.certificate,
             "reasons": reasons,
-            "which_to_build": made.sentence,
-            "passed": made.passed,
+            "which_to_build": grid_design.sentence,
+            "passed": grid_design.passed,
             "assumptions": assumptions,
             "files": [str(path) for path in files],
         }
@@ -173,11 +175,13 @@ def _show_made(made: GridDesign, assumptions: list[str], files: list[Path], *, j
     else:
         for line in (*assumptions, *reasons):
             typer.echo(line)
-        _show(made.controller.name, _certificate_of(made.controller), made.proposal.table)
-        typer.echo(sentence(made.sentence))
+        _show(
+            grid_design.controller.name, _certificate_of(grid_design.controller), grid_design.proposal.table
+        )
+        typer.echo(sentence(grid_design.sentence))
         for path in files:
             typer.echo(path)
-    if not made.passed:
+    if not grid_design.passed:
         raise typer.Exit(1)
 
 
@@ -294,7 +298,7 @@ def certify(
         file_for(out, suffix=".json")
     if page is not None:
         file_for(page, "--page", suffix=".html")
-    others = acceptance or worth or any(given is not None for given in (out, page, conditions))
+    others = acceptance or worth or any(option is not None for option in (out, page, conditions))
     check_wrong_options(wrong_signals, detector, others=others)
     loaded, table = _judged(controller, case, spec, conditions)
     if acceptance and table.acceptance is None:
@@ -323,9 +327,9 @@ def certify(
 
 
 def _show_record(name: str, loaded: Controller, table: DesignTable) -> None:
-    from interarea.cosim.designs.certificate_words import first_failures, kept_certificate
+    from interarea.cosim.designs.certificate_words import bundled_certificate, first_failures
 
-    known = kept_certificate(name, table.grid.hash) or loaded.certificate
+    known = bundled_certificate(name, table.grid.hash) or loaded.certificate
     typer.echo(f"on record: {first_failures(known)}")
 
 

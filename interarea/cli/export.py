@@ -119,11 +119,11 @@ def build(
         typer.echo(file)
 
 
-def _sample_s(given: float | None, dll: str | None) -> float:
+def _sample_s(requested_s: float | None, dll: str | None) -> float:
     """Return the interval at which a DLL is called, s."""
-    if given is not None and dll is None:
-        raise BuildError(f"--sample-time {given:g}: an option of a DLL; give --dll too, or omit it")
-    return 0.001 if given is None else given
+    if requested_s is not None and dll is None:
+        raise BuildError(f"--sample-time {requested_s:g}: an option of a DLL; give --dll too, or omit it")
+    return 0.001 if requested_s is None else requested_s
 
 
 def _dll_platforms(names: str | None) -> list[str]:

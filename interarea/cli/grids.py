@@ -118,12 +118,12 @@ def import_grid(
         typer.echo(f"at the equilibrium: {growth.text}", err=True)
 
 
-def _pairs(given: list[str]) -> dict[str, str]:
+def _pairs(texts: list[str]) -> dict[str, str]:
     """The models of options MODEL=MODEL."""
     from interarea.models.errors import CaseError
 
-    pairs = [text.split("=") for text in given]
-    for text, parts in zip(given, pairs, strict=True):
+    pairs = [text.split("=") for text in texts]
+    for text, parts in zip(texts, pairs, strict=True):
         if len(parts) != 2 or not all(part.strip() for part in parts):
             raise CaseError(f"--replace {text!r}, allowed: MODEL=MODEL, such as WSIEG1=IEEEG1")
     return {parts[0]: parts[1] for parts in pairs}
@@ -204,10 +204,10 @@ def grid_of(name: str, dyr: Path | None = None) -> tuple[Case, list[str]] | None
 
     imported = read_grid(name, dyr=dyr)
     if imported.unrest:
-        given = name if dyr is None else f"{name} --dyr {dyr}"
+        source = name if dyr is None else f"{name} --dyr {dyr}"
         raise CaseError(
             f"{name}: {len(imported.unrest)} controls have no equilibrium (first: {imported.unrest[0]}); "
-            f"`interarea import {given} --release-limits --out grid.toml` widens their limits, then give "
+            f"`interarea import {source} --release-limits --out grid.toml` widens their limits, then give "
             "grid.toml instead"
         )
     return imported.case, imported.report.text().splitlines()

@@ -120,7 +120,7 @@ def show(
 
 def device(
     file: Annotated[str, typer.Argument(metavar="DEVICE", help="device file, or a bundled device")],
-    given: Annotated[
+    assignments: Annotated[
         list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="a parameter of the device")
     ] = None,
     at: Annotated[
@@ -140,7 +140,7 @@ def device(
     from interarea.models.devices.drawing import diagram_svg
     from interarea.models.devices.response import missing, response_of
 
-    parameters = _assigned("--set", given or [], "KA=200")
+    parameters = _assigned("--set", assignments or [], "KA=200")
     point = _assigned("--at", at or [], "vt=1.02")
     lacking = missing(model, parameters)
     drawn = [] if draw is None else [str(write_whole(draw, diagram_svg(model.device)))]

@@ -194,14 +194,14 @@ def _tell(scenario: Scenario, result: Result, files: list[Path], json_: bool) ->
     if isinstance(result, Run):
         note(result.summary)
         if scenario.controller != "none":
-            typer.echo(_survived(scenario, scenario.as_given(result.case)), err=True)
+            typer.echo(_survived(scenario, scenario.as_stated(result.case)), err=True)
     unmet = result.unmet if isinstance(result, Run) else ()
     for line in unmet:
         typer.echo(f"not as expected: {line}", err=True)
     return not unmet
 
 
-def _not_built_here(scenario: Path) -> list[str]:
+def _third_party_fmus(scenario: Path) -> list[str]:
     """Names of the FMUs that this program did not write and that have no process of their own.
 
     Looks at the file itself: what checks and runs scenarios is loaded by the process that does.
@@ -212,7 +212,7 @@ def _not_built_here(scenario: Path) -> list[str]:
     """
     from interarea.cosim.errors import ScenarioError
     from interarea.cosim.toml_file import read_toml
-    from interarea.fmu_build.open.archive import built_here
+    from interarea.fmu_build.open.archive import built_by_this_package
 
     # a bundled name; an SSP, whose FMUs have a process each; or what is wrong is said when it is loaded
     if not scenario.exists() or scenario.suffix.lower() == ".ssp":
@@ -223,12 +223,12 @@ def _not_built_here(scenario: Path) -> list[str]:
     files = {n: row.get("file") for n, row in rows if isinstance(row, dict) and not row.get("isolate")}
     files["controller"] = table.get("controller")
     paths = {n: scenario.parent / f for n, f in files.items() if isinstance(f, str) and f.endswith(".fmu")}
-    return [name for name, path in paths.items() if path.is_file() and not built_here(path)]
+    return [name for name, path in paths.items() if path.is_file() and not built_by_this_package(path)]
 
 
 def _run_apart(scenario: Path, out: Path | None) -> int | None:
     """Have a process of its own run what may crash it; return its exit code, None where this one has to."""
-    foreign = _not_built_here(scenario)
+    foreign = _third_party_fmus(scenario)
     if not foreign:
         return None
     if _GUARDED in os.environ:
@@ -297,12 +297,12 @@ def _tested(scenario: Scenario) -> SelfTest:
 
 def _survived(scenario: Scenario, case: Case) -> str:
     """What the controller's record holds of losses, latencies and faults: a run shows one of them at most."""
-    from interarea.cosim.designs.certificate_words import first_failures, kept_certificate
+    from interarea.cosim.designs.certificate_words import bundled_certificate, first_failures
     from interarea.cosim.run.controllers import controller_of
     from interarea.design.controllers.controller import ControllerError
     from interarea.fmu_build.write.cache import default_cache
 
-    known = kept_certificate(scenario.controller, case.hash)
+    known = bundled_certificate(scenario.controller, case.hash)
     if known is not None:
         return first_failures(known)
     try:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..command_usage import Dyr, naming, within
-from .certificates.wrong_study import OPTIONS, Asked, study_wrong
+from .certificates.wrong_study import OPTIONS, WrongSignalsRequest, study_wrong
 from .certificates.wrong_study import STUDY as WRONG_SIGNALS
 from .terminal import note, stage_progress
 
@@ -132,9 +132,9 @@ def study(
     from .destination import folder_for
     from .grids import grid_of
 
-    asked = Asked(controller or [], kind or [], disturbance or [], points)
+    request = WrongSignalsRequest(controller or [], kind or [], disturbance or [], points)
     words = {"--mva": mva, "--actuator": actuator, "--grid": grid, "--dyr": dyr, "--minutes": minutes}
-    _check_options(name, [*_as_typed(words), *((typed.split()[0], typed) for typed in asked.options)])
+    _check_options(name, [*_as_typed(words), *((typed.split()[0], typed) for typed in request.options)])
     if name == "actuators":
         _study_actuators(out, minutes, grid or [], actuator or [], mva, json_=json_)
         return
@@ -142,8 +142,8 @@ def study(
         _study_several(name, out, minutes, grid or [], json_=json_)
         return
     if name == WRONG_SIGNALS:
-        asked.check_names()
-        _show_study(*study_wrong(out, asked), json_=json_)
+        request.check_names()
+        _show_study(*study_wrong(out, request), json_=json_)
         return
     folder_for(out, files=_FILES)
     choices = _choices_of(name, dyr, minutes)
@@ -231,16 +231,16 @@ def _study_actuators(
     _show_study(summary, out, FILES, result["conclusion"], json_=json_)
 
 
-def _as_typed(given: Mapping[str, object]) -> Iterator[tuple[str, str]]:
+def _as_typed(typed_options: Mapping[str, object]) -> Iterator[tuple[str, str]]:
     """Yield each option that is given, and it as it is typed; a number is left out."""
-    for option, value in given.items():
+    for option, value in typed_options.items():
         for word in value if isinstance(value, list) else [value]:
             if word is not None:
                 yield option, option if isinstance(word, float) else f"{option} {word}"
 
 
-def _check_options(study: str, given: Iterable[tuple[str, str]]) -> None:
-    """Refuse an option of one study that is given to another. given : option, and it as it is typed.
+def _check_options(study: str, typed_options: Iterable[tuple[str, str]]) -> None:
+    """Refuse an option of one study that is given to another. typed_options : option, and it as it is typed.
 
     Raises
     ------
@@ -248,7 +248,7 @@ def _check_options(study: str, given: Iterable[tuple[str, str]]) -> None:
     """
     from interarea.models.errors import UserError
 
-    for option, typed in given:
+    for option, typed in typed_options:
         takers, remedy = _TAKERS.get(option, ((), _LEAVE_OUT))
         if takers and study not in takers:
             allowed = " or ".join(part for part in (", ".join(takers[:-1]), takers[-1]) if part)
@@ -396,8 +396,8 @@ def design_for_grid(name: str, case: Case, out: Path, minutes: float | None) -> 
         for file, grid in grids.items():
             if grid is not None:
                 export_toml(grid, file)
-    made = {**controllers, design: done.proposal, **grids}
-    return done, [file for file, content in made.items() if content is not None]
+    contents = {**controllers, design: done.proposal, **grids}
+    return done, [file for file, content in contents.items() if content is not None]
 
 
 def _identifier(text: str) -> str:
@@ -411,7 +411,7 @@ def _identifier(text: str) -> str:
 
 
 def _run_study(name: str, out: Path, *, second_solver: bool, json_: bool) -> None:
-    from interarea.cosim.designs.certificate_words import first_failures, kept_certificate
+    from interarea.cosim.designs.certificate_words import bundled_certificate, first_failures
     from interarea.cosim.scenario.names import CONTROLLER_NAMES
     from interarea.cosim.study.study import STAGES, run_study
 
@@ -427,5 +427,5 @@ def _run_study(name: str, out: Path, *, second_solver: bool, json_: bool) -> Non
             typer.echo(file)
     note(f"printed statements: {', '.join(f'{number} {verdict}' for verdict, number in count.items())}")
     for controller in CONTROLLER_NAMES:
-        known = kept_certificate(controller, summary["provenance"]["case_hash"])
+        known = bundled_certificate(controller, summary["provenance"]["case_hash"])
         note(f"{controller}: {first_failures(known)}")

@@ -88,14 +88,14 @@ _levels: set[str] = set()  # quiet, verbose: as this call of the command asks
 def set_level(name: str) -> Callable[[bool], None]:
     """Return what the option `--quiet` or `--verbose` does when it is given."""
 
-    def given(value: bool) -> None:
+    def set_to(value: bool) -> None:
         if value:
             _levels.add(name)
         if "verbose" in _levels:  # what the floors log: the cache's finds, processes
             _log.addHandler(_remarks)
             _log.setLevel(logging.INFO)
 
-    return given
+    return set_to
 
 
 class _Remarks(logging.Handler):
@@ -141,12 +141,12 @@ def _nobody(text: object) -> None:
     pass
 
 
-def two_numbers(text: str, option: str, wanted: str, error: type[Exception]) -> tuple[float, float]:
-    """Return the numbers of an option `LOW:HIGH`; raise `error`, which says what is `wanted`."""
+def two_numbers(text: str, option: str, expected: str, error: type[Exception]) -> tuple[float, float]:
+    """Return the numbers of an option `LOW:HIGH`; raise `error`, which says what is `expected`."""
     try:
         low, high = (float(part) for part in text.split(":"))
     except ValueError:
-        raise error(f"{option} {text!r}, wanted {wanted}") from None
+        raise error(f"{option} {text!r}, wanted {expected}") from None
     if not max(abs(low), abs(high)) <= LARGEST:
         raise error(f"{option} {text!r}, allowed: finite numbers, at most {LARGEST:g} in size")
     return low, high

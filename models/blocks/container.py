@@ -13,7 +13,7 @@ from .channel import channel_block
 from .plant import plant_sources
 from .variables import STEP_PARAMETER, Block, Role, Variable, VariableTable
 
-_HERE = Path(__file__).resolve().parents[1] / "c"
+_C_FOLDER = Path(__file__).resolve().parents[1] / "c"
 _KINDS_INSIDE = ("plant", "controller", "channel", "supervisor")
 _OWN = ("container", "closed_loop_step", *(f"{kind}_member" for kind in _KINDS_INSIDE))
 _KINDS = {kind: number for number, kind in enumerate(_KINDS_INSIDE)}  #: as closed_loop.h counts
@@ -32,7 +32,7 @@ def container_sources(plant: Iterable[Path] | None = None) -> tuple[Path, ...]:
     plant : sources of the plant inside; default `plant_sources()`.
     """
     return (
-        *(_HERE / f"container/{name}.c" for name in _OWN),
+        *(_C_FOLDER / f"container/{name}.c" for name in _OWN),
         *(p for p in (plant_sources() if plant is None else plant) if p.name not in ("plant.c", "record.c")),
         *(p for p in channel_block().sources if p.name != "channel.c"),
     )
@@ -46,7 +46,7 @@ def chain_sources() -> tuple[Path, ...]:
     """Return the C files, and the header, of a chain: members one after the other, without a plant."""
     parts = ("chain.h", *(f"{kind}_member.c" for kind in CHAIN_KINDS))
     return (
-        *(_HERE / "container" / name for name in parts),
+        *(_C_FOLDER / "container" / name for name in parts),
         *(p for p in channel_block().sources if p.name != "channel.c"),
     )
 

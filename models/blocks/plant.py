@@ -42,9 +42,9 @@ from .plant_variables import (
 )
 from .variables import STEP_PARAMETER, Block, VariableTable
 
-_HERE = Path(__file__).resolve().parents[1] / "c"
+_C_FOLDER = Path(__file__).resolve().parents[1] / "c"
 SOURCES = tuple(
-    _HERE / name
+    _C_FOLDER / name
     for name in (
         "plant/plant.c",
         "plant/start/tables.c",
@@ -82,7 +82,7 @@ def plant_sources(case: Case | None = None) -> tuple[Path, ...]:
 
 #: what FMUs stepped side by side need besides (block/block_group.h)
 GROUP_SOURCES = tuple(
-    _HERE / f"plant/lanes/{name}.c"
+    _C_FOLDER / f"plant/lanes/{name}.c"
     for name in ("lanes_2", "lanes_4", "lanes_8", "alike_4", "alike_8", "plant_group")
 )
 

@@ -116,13 +116,13 @@ def _needed_more(table: str, keys: Set[str], row: Mapping[str, Any]) -> list[str
     return missing if 2 * len(missing) >= len(needed) else []
 
 
-def _needed(table: str, given: Set[str]) -> list[str]:
-    """Keys that every row of a table has, but for its id and those that are `given`."""
+def _needed(table: str, left_out: Set[str]) -> list[str]:
+    """Keys that every row of a table has, but for its id and those that are `left_out`."""
     from .tables import CaseTables
 
     row = get_args(CaseTables.model_fields[table].annotation)[0]
     needed = [field.alias or name for name, field in row.model_fields.items() if field.is_required()]
-    return [key for key in needed if key != ROW_TABLES[table] and key not in given]
+    return [key for key in needed if key != ROW_TABLES[table] and key not in left_out]
 
 
 def _ends(change: Mapping[str, Any]) -> set[str]:

@@ -26,7 +26,7 @@ def word_name(word: int) -> str:
     return f"l{word + 1}" if word else "l"
 
 
-def given_rows(model: Model) -> tuple[str, ...]:
+def parameter_rows(model: Model) -> tuple[str, ...]:
     """Return the rows of a device's table that the case gives: parameters, bases, references."""
     device = model.device
     hz = (FBASE,) if any(FBASE in line.node.names for line in device.lines) else ()
@@ -40,7 +40,7 @@ class ExpressionWriter:
         self.model, self.device = model, model.device
         self.prefix = self.device.key
         self.big = self.prefix.upper()
-        self.given = given_rows(model)
+        self.parameter_rows = parameter_rows(model)
         self.prepared: dict[Node, int] = {}
         self.in_prepare = False
         self.decisions = 0  #: bits of the words of decisions that are given away
@@ -85,7 +85,7 @@ class ExpressionWriter:
         if node.op == "number":
             return _literal(node.value), False
         if node.op == "name":
-            provided = node.name in self.given and node.name != "pref"  # a step is added to pref
+            provided = node.name in self.parameter_rows and node.name != "pref"  # a step is added to pref
             return (self.row(node.name), False) if provided else (f"s_{node.name}", True)
         if node.op == "neg":
             text, is_num = self.code_of(node.args[0])
@@ -147,7 +147,7 @@ class ExpressionWriter:
             same = f"(num_reaches({a}, {b}) & num_reaches({b}, {a}))"
             return same if node.op == "==" else f"flag_not{same}"
         name = "reaches" if "=" in node.op else "above"
-        fixed = set(node.names) <= {*self.given} - {"pref"}  # at rest, for good: nothing to watch
+        fixed = set(node.names) <= {*self.parameter_rows} - {"pref"}  # at rest, for good: nothing to watch
         call = f"num_{name}(" if fixed else self.deciding(name, 1)
         return f"{call}{a}, {b})" if ">" in node.op else f"{call}{b}, {a})"
 

@@ -75,11 +75,11 @@ def fault_of_converter(records: Collection[str]) -> str:
         if len(seen) != 1:
             has = f"no {' or '.join(models)}, which {does}" if not seen else f"{' and '.join(seen)}"
             return f"has {has}, allowed: one{CURRENTS}"
-    some = [model for model in _TURBINE[:3] if model in records]
+    present = [model for model in _TURBINE[:3] if model in records]
     missing = [model for model in _TURBINE if model not in records]
-    if some and missing:
-        has = f"{' and '.join(some)} without {' and '.join(missing)}"
-        goes_on = f"--leave-out {','.join(some)} uses a turbine of constant power"
+    if present and missing:
+        has = f"{' and '.join(present)} without {' and '.join(missing)}"
+        goes_on = f"--leave-out {','.join(present)} uses a turbine of constant power"
         return f"has {has}, allowed: all of {', '.join(_TURBINE)}; {goes_on}"
     return ""
 

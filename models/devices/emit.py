@@ -159,8 +159,8 @@ class Writer(ExpressionWriter):
     def enumeration(self) -> list[str]:
         """The rows of the device's table by name."""
         prepared = (f"_{k}" for k in range(len(self.prepared)))
-        rows = ", ".join(f"{self.big}__{name}" for name in (*self.given, *prepared))
-        last = f"       {self.big}___GIVEN = {len(self.given)} }};"
+        rows = ", ".join(f"{self.big}__{name}" for name in (*self.parameter_rows, *prepared))
+        last = f"       {self.big}___GIVEN = {len(self.parameter_rows)} }};"
         return _wrapped(f"enum {{ {rows}, {self.big}___ROWS,", last)
 
     def places(self) -> list[str]:

@@ -14,8 +14,8 @@ from .language.structure import Model
 
 MOST_OWN = 50  #: devices of a user's own in a case
 NONE: Mapping[str, Model] = MappingProxyType({})  #: no device of a user's own
-_HERE = Path(__file__).parent
-FOLDERS = {kind: _HERE / f"{kind}s" for kind in KINDS}
+_FOLDER = Path(__file__).parent
+FOLDERS = {kind: _FOLDER / f"{kind}s" for kind in KINDS}
 
 
 @functools.cache

@@ -100,8 +100,8 @@ def response_of(
         _check_signal(device.name, name, value, seen)
         seen[name] = value
     if not min(stop_s, base_mva, frequency_hz) > 0.0:
-        given = f"stop {stop_s:g} s, base {base_mva:g} MVA, {frequency_hz:g} Hz"
-        raise DeviceError(f"{device.name}: {given}, allowed: above 0")
+        setup = f"stop {stop_s:g} s, base {base_mva:g} MVA, {frequency_hz:g} Hz"
+        raise DeviceError(f"{device.name}: {setup}, allowed: above 0")
     inputs = {name: seen[name] for name in kind.inputs}
     if device.kind == "converter":  # its currents are those of its powers
         seen["ip"], inputs["iq"] = seen["p"] / seen["vt"], seen["q"] / seen["vt"]

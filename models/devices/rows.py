@@ -9,10 +9,10 @@ from ..errors import DeviceError, nearest
 from .language.device import BASES, FBASE, MBASE, NO_LIMIT, USUAL_HZ, Device, Parameter
 from .language.expression import evaluate
 
-Given = float | str | None  #: None: an absent limit; a word: computed at rest
+Value = float | str | None  #: None: an absent limit; a word: computed at rest
 
 
-def row_of(device: Device, provided: Mapping[str, Any]) -> dict[str, Given]:
+def row_of(device: Device, provided: Mapping[str, Any]) -> dict[str, Value]:
     """Return every parameter of `device` for what a row gives, in the order of the file.
 
     Raises
@@ -24,12 +24,12 @@ def row_of(device: Device, provided: Mapping[str, Any]) -> dict[str, Given]:
     for key, value in provided.items():
         if key not in known:
             raise DeviceError(f".{key} = {value!r}: no such key here; {nearest(key, known)}")
-    row = {p.name: _given(device, p, provided) for p in device.parameters}
+    row = {p.name: _value(device, p, provided) for p in device.parameters}
     _check(device, row)
     return row
 
 
-def _given(device: Device, p: Parameter, provided: Mapping[str, Any]) -> Given:
+def _value(device: Device, p: Parameter, provided: Mapping[str, Any]) -> Value:
     """One parameter of a row: what is given for it, if its range has that, or its default."""
     if p.name not in provided:
         if p.default is None:
@@ -38,7 +38,7 @@ def _given(device: Device, p: Parameter, provided: Mapping[str, Any]) -> Given:
     value = provided[p.name]
     rule = device.computed.get(p.name)
     if (value is None and p.is_optional_limit) or (rule is not None and value == rule.when):
-        retained: Given = value
+        retained: Value = value
         return retained
     if isinstance(value, bool) or not isinstance(value, int | float):
         more = f" or {rule.when!r}" if rule is not None and isinstance(rule.when, str) else ""
@@ -53,7 +53,7 @@ def _given(device: Device, p: Parameter, provided: Mapping[str, Any]) -> Given:
 
 
 def numbers_of(
-    device: Device, row: Mapping[str, Given], mbase: float, frequency_hz: float
+    device: Device, row: Mapping[str, Value], mbase: float, frequency_hz: float
 ) -> dict[str, float | str]:
     """Return a row as numbers: absent limits as +-1e30, words as they are, MBASE in MVA, FBASE in Hz."""
     values: dict[str, float | str] = {MBASE: mbase, FBASE: frequency_hz}
@@ -63,7 +63,7 @@ def numbers_of(
     return values
 
 
-def _check(device: Device, row: Mapping[str, Given]) -> None:
+def _check(device: Device, row: Mapping[str, Value]) -> None:
     values = numbers_of(device, row, 100.0, USUAL_HZ)
     for rule in device.checks:
         names = [name for name in dict.fromkeys(rule.node.names) if name not in BASES]

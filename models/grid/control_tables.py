@@ -12,13 +12,13 @@ from ..case.case import Case, CaseError
 from ..case.control_schema import Control, control_model, control_numbers
 from ..case.hvdc_schema import Hvdc
 from ..case.vsc_schema import Vsc
-from ..devices.c_expression import given_rows
+from ..devices.c_expression import parameter_rows
 from ..devices.language.device import AT_BUS, KINDS, OF_CONVERTER, OF_LINK, OF_MACHINE, OF_SVC
 from ..devices.language.expression import Node
 from ..devices.language.structure import Model
 from ..devices.rest import BEYOND, RestPoint, rest_of
 from ..errors import DeviceError
-from .coupling import AtRest, Coupling, coupling_of, model_at_bus, output_and_given
+from .coupling import AtRest, Coupling, coupling_of, model_at_bus, output_and_signals
 from .machine_tables import NETWORK, MachinePoint, State
 from .vsc_link import link_modulations
 
@@ -65,7 +65,7 @@ class Device:
 
     def column(self) -> list[float]:
         """Its column of the group's table."""
-        return [self.rest.instance.values[row] for row in given_rows(self.rest.instance.model)]
+        return [self.rest.instance.values[row] for row in parameter_rows(self.rest.instance.model)]
 
     def parameters(self) -> Iterator[Parameter]:
         """Parameters that a user may change: active ones without effect on the structure; none of converters
@@ -150,7 +150,7 @@ def modulation(key: str) -> str:
 
 
 @dataclass(frozen=True)
-class Given:
+class Input:
     """An input of the plant: `word` of a row acts at `place`; as many more as there are once or twice: on the
     second or third input of that place."""
 
@@ -177,20 +177,20 @@ class Controls:
         return tuple(d for d in self.devices if d.word == word)
 
     @property
-    def inputs(self) -> tuple[Given, ...]:
+    def inputs(self) -> tuple[Input, ...]:
         """The signals from outside, in the order of the inputs."""
         places = self.seen.shape[1]
-        result: list[Given] = []
+        result: list[Input] = []
         for d in self.devices:
             if d.word == "exciter":
-                result.append(Given(d.prefix.removesuffix(".exciter"), "vs", d.place))
+                result.append(Input(d.prefix.removesuffix(".exciter"), "vs", d.place))
             elif d.word in OF_CONVERTER:
-                result += [Given(d.prefix, "p_mod", d.place), Given(d.prefix, "q_mod", places + d.place)]
+                result += [Input(d.prefix, "p_mod", d.place), Input(d.prefix, "q_mod", places + d.place)]
             elif d.word in OF_LINK:
                 words = link_modulations(d.rest.instance.values).values()
-                result += [Given(d.prefix, word, k * places + d.place) for k, word in enumerate(words)]
+                result += [Input(d.prefix, word, k * places + d.place) for k, word in enumerate(words)]
             elif d.word in AT_BUS:
-                result.append(Given(d.prefix, modulation(d.key), d.place))
+                result.append(Input(d.prefix, modulation(d.key), d.place))
         return tuple(result)
 
     @property
@@ -307,26 +307,29 @@ def rests_of(
         kind, share = model.device.kind, row_at.base_mva / case.base_mva
         who = f"{case.name}: {table_of(kind)}.{row_at.name}.control"
         numbers = control_numbers(model, row_at.control, row_at.base_mva, case.frequency_hz)
-        output, given = output_and_given(bus, kind, share, numbers)
-        rest = _rest_of(model, numbers, given, output, who, row_at.name, "control", room)
+        output, signals = output_and_signals(bus, kind, share, numbers)
+        rest = _rest_of(model, numbers, signals, output, who, row_at.name, "control", room)
         rests.append((k, kind, rest))
-        for key, value in _seen_at_bus(kind, bus.seen, output, given).items():
+        for key, value in _seen_at_bus(kind, bus.seen, output, signals).items():
             seen[SEEN.index(key), k] = value
     return seen, rests
 
 
-def _seen_at_bus(kind: str, volts: float, output: float, given: Mapping[str, float]) -> dict[str, float]:
+def _seen_at_bus(kind: str, volts: float, output: float, signals: Mapping[str, float]) -> dict[str, float]:
     """What a device at a bus sees at rest, where plant/flow/flow.h has it."""
     at = {"vt": volts, "out": output}
     if kind in OF_CONVERTER:
-        at |= {"pe": given["p"], "ifd": given["q"]}
-        at |= {"vd": given.get("vr", 0.0), "vq": given.get("vi", 0.0)}
-        at |= {"id": given.get("ir", given.get("pbr", 0.0)), "iq": given.get("ii", given.get("qbr", 0.0))}
-        at |= {"efd": given.get("vreg", 0.0), "pm": given.get("vdrop", 0.0)}
+        at |= {"pe": signals["p"], "ifd": signals["q"]}
+        at |= {"vd": signals.get("vr", 0.0), "vq": signals.get("vi", 0.0)}
+        at |= {
+            "id": signals.get("ir", signals.get("pbr", 0.0)),
+            "iq": signals.get("ii", signals.get("qbr", 0.0)),
+        }
+        at |= {"efd": signals.get("vreg", 0.0), "pm": signals.get("vdrop", 0.0)}
     elif kind == "hvdc":
-        at |= {"pe": given["vdi"]}
+        at |= {"pe": signals["vdi"]}
     elif kind == "vsc":
-        at |= {"pe": given["p1"], "vd": given["v2"], "vq": given["p2"]}
+        at |= {"pe": signals["p1"], "vd": signals["v2"], "vq": signals["p2"]}
     return at
 
 

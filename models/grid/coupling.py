@@ -53,9 +53,9 @@ class BusPoint:
     def _measured(self, share: float, drop: complex) -> dict[str, float]:
         """What a plant control sees; `drop` : of the voltage by the current, pu of its base."""
         turn = cmath.rect(1.0, self.angle)
-        here = self.own * turn
-        volts = here if self.regulated is None else self.regulated
-        at, current = self.measured or (here, self.current(1.0) * turn)
+        own = self.own * turn
+        volts = own if self.regulated is None else self.regulated
+        at, current = self.measured or (own, self.current(1.0) * turn)
         power = at * current.conjugate() / share
         less = abs(volts - drop * current / share)
         return {"vreg": abs(volts), "vdrop": less, "pbr": power.real, "qbr": power.imag}
@@ -79,7 +79,7 @@ class BusPoint:
         power = self.p if kind == "converter" else self.q
         return power / self.own ** (2 if COUPLINGS[kind] == SUSCEPTANCE else 1) / share
 
-    def given(self, kind: str, share: float, impedance: complex = 0.0) -> dict[str, float]:
+    def signals(self, kind: str, share: float, impedance: complex = 0.0) -> dict[str, float]:
         """Return the input values of the device; for a converter also its reactive current, for a source its
         voltage.
 
@@ -119,22 +119,22 @@ class Coupling:
 AtRest = BusPoint | LinkPoint | VscPoint  #: a device at a bus, or between two, at rest
 
 
-def output_and_given(
+def output_and_signals(
     bus: AtRest, kind: str, share: float, numbers: Mapping[str, float | str]
 ) -> tuple[float, dict[str, float]]:
     """Return the output of a device at its equilibrium, and its input values and other states, pu of its
     base."""
     if isinstance(bus, BusPoint) and kind == "source":
         behind = complex(float(numbers["Re"]), float(numbers["Xe"]))
-        return bus.output(kind, share, behind), bus.given(kind, share, behind)
+        return bus.output(kind, share, behind), bus.signals(kind, share, behind)
     if isinstance(bus, BusPoint) and kind == "converter":
-        given, y = bus.given(kind, share, drop_of(numbers)), behind_impedance(numbers)
-        given["iq"] -= y.imag * bus.own
+        signals, y = bus.signals(kind, share, drop_of(numbers)), behind_impedance(numbers)
+        signals["iq"] -= y.imag * bus.own
         if is_locked(numbers):
             behind = bus.source(share, complex(float(numbers["Re"]), float(numbers["Xe"])))
-            given |= {"theta": bus.angle, "delta": bus.angle + cmath.phase(behind), "e": abs(behind)}
-        return bus.output(kind, share) + y.real * bus.own, given
-    return bus.output(kind, share), bus.given(kind, share)
+            signals |= {"theta": bus.angle, "delta": bus.angle + cmath.phase(behind), "e": abs(behind)}
+        return bus.output(kind, share) + y.real * bus.own, signals
+    return bus.output(kind, share), bus.signals(kind, share)
 
 
 def model_at_bus(row: Svc | Converter | Hvdc | Vsc, own: Mapping[str, Model]) -> Model:
@@ -313,7 +313,7 @@ def device_ports(
     index = {bus.number: k for k, bus in enumerate(case.buses)}
     rows: list[list[float]] = []
     for k, (svc, (kind, c), at_rest) in enumerate(zip(case.at_buses, couplings, signals, strict=True)):
-        share, here = svc.base_mva / case.base_mva, svc.seen_bus == svc.bus
+        share, own_bus = svc.base_mva / case.base_mva, svc.seen_bus == svc.bus
         if isinstance(svc, Hvdc):
             states = {name: state_names.index(f"{svc.name}.{name}") for name in ("idc", "iord", "xr", "xi")}
             places = index[svc.rectifier_bus], index[svc.inverter_bus]
@@ -327,7 +327,7 @@ def device_ports(
         state = state_names.index(f"{svc.name}.{c.state}")
         output = share * at_rest[KINDS[kind].output]
         row = [state, share * c.scale, share * c.bias, COUPLINGS[kind], output]
-        rows.append([k, 1.0, index[svc.bus], *row, (k + 1.0) * here, LOW_PU])
+        rows.append([k, 1.0, index[svc.bus], *row, (k + 1.0) * own_bus, LOW_PU])
         sees = 4.0 * c.direction if kind == "source" else c.direction + 2.0 * c.plant
         drop = drop_of(c.values) / share
         if kind == "source" or is_locked(c.values):
@@ -343,7 +343,7 @@ def device_ports(
             rows[-1] += [0.0, share * c.shunt, drop.real, drop.imag]
         if isinstance(svc, Converter):
             rows += _measuring_ports(case, svc, k, index)
-        if not here:
+        if not own_bus:
             rows.append([k, 1.0, index[svc.seen_bus], state, 0.0, 0.0, NOTHING, 0.0, k + 1.0, LOW_PU])
     return rows
 

@@ -57,7 +57,7 @@ class LinkPoint:
         """Return the current."""
         return self.idc
 
-    def given(self, kind: str, share: float) -> dict[str, float]:
+    def signals(self, kind: str, share: float) -> dict[str, float]:
         """Return the input values of the device, and its initial states."""
         angles = {"iord": self.idc, "xr": self.alpha, "xi": self.gamma}
         return {"vdr": self.vdr, "vdi": self.vdi, "p_mod": 0.0, **angles}

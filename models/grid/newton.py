@@ -126,10 +126,10 @@ def _jacobian(Y: Any, V: ComplexArray, linear: Any, free_angle: IntArray, free_m
         row = np.repeat(np.arange(n), np.diff(derivatives.indptr))
         column = at_column[derivatives.indices]
         for part, at_row in ((derivatives.data.real, at_angle), (derivatives.data.imag, at_magnitude)):
-            kept = (at_row[row] >= 0) & (column >= 0)
-            rows.append(at_row[row][kept])
-            columns.append(column[kept])
-            values.append(part[kept])
+            inside = (at_row[row] >= 0) & (column >= 0)
+            rows.append(at_row[row][inside])
+            columns.append(column[inside])
+            values.append(part[inside])
     size = len(free_angle) + len(free_magnitude)
     where = (np.concatenate(rows), np.concatenate(columns))
     return sparse.csc_matrix((np.concatenate(values), where), shape=(size, size))

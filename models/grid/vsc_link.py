@@ -39,7 +39,7 @@ class VscPoint:
         """Return the active current at its first end."""
         return self.power[0].real / self.voltages[0]
 
-    def given(self, kind: str, share: float) -> dict[str, float]:
+    def signals(self, kind: str, share: float) -> dict[str, float]:
         """Return the input values of the device, and its initial currents."""
         known = {"p_mod": 0.0, "q_mod1": 0.0, "q_mod2": 0.0}
         for k, (u, s, names) in enumerate(zip(self.voltages, self.power, _CURRENTS, strict=True), start=1):
@@ -68,8 +68,8 @@ def vsc_point(row: Vsc, u_from: float, u_to: float) -> VscPoint:
     taken, R = row.P_mw / row.base_mva, row.r_ohm / row.base_ohm
     into = taken - row.from_loss_mw / row.base_mva  # = (1 + R idc) idc
     idc = 2.0 * into / (1.0 + math.sqrt(max(1.0 + 4.0 * R * into, 0.0)))
-    given = idc - row.to_loss_mw / row.base_mva
-    powers = (complex(-taken, row.from_q_mvar / row.base_mva), complex(given, row.to_q_mvar / row.base_mva))
+    into_ac = idc - row.to_loss_mw / row.base_mva
+    powers = (complex(-taken, row.from_q_mvar / row.base_mva), complex(into_ac, row.to_q_mvar / row.base_mva))
     return VscPoint(idc, (u_from, u_to), powers)
 
 

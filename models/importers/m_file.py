@@ -342,10 +342,10 @@ class _Reader:
         """Return the token that comes; "" at the end."""
         return self.tokens[self.k][0] if self.k < len(self.tokens) else ""
 
-    def take(self, wanted: str = "") -> str:
-        """Return the token that comes and go on; refuse another than `wanted`."""
+    def take(self, expected: str = "") -> str:
+        """Return the token that comes and go on; refuse another than `expected`."""
         token = self.next()
-        if not token or (wanted and token != wanted):
+        if not token or (expected and token != expected):
             raise self.no()
         self.k += 1
         return token

@@ -95,13 +95,13 @@ def _base_mva(file: MFile) -> float:
         raise CaseError(f"{file.path}: MATPOWER case version {got}, allowed: 2 (mpc.version = '2')")
     base_mva = file.scalars.get("baseMVA")
     if not isinstance(base_mva, float):
-        raise CaseError(f"{file.path}{_given(file, 'baseMVA')}, allowed: a number of MVA")
+        raise CaseError(f"{file.path}{_fields(file, 'baseMVA')}, allowed: a number of MVA")
     if not base_mva > 0.0:
         raise CaseError(f"{file.path}: mpc.baseMVA = {base_mva:g}, allowed: above 0")
     return base_mva
 
 
-def _given(file: MFile, name: str) -> str:
+def _fields(file: MFile, name: str) -> str:
     """What a file has of a field that is wanted in another form, or not at all."""
     line = file.other.get(name) or next(iter(file.lines.get(name, ())), None)
     if name in file.scalars:
@@ -113,7 +113,7 @@ def _table(file: MFile, table: str) -> list[_Row]:
     if table not in file.tables:
         if table != "dcline":
             allowed = "a case with bus, gen and branch, each a table of numbers"
-            raise CaseError(f"{file.path}{_given(file, table)}, allowed: {allowed}")
+            raise CaseError(f"{file.path}{_fields(file, table)}, allowed: {allowed}")
         return []
     rows: list[_Row] = []
     for line, values in zip(file.lines[table], file.tables[table].tolist(), strict=True):

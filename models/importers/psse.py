@@ -182,8 +182,8 @@ def _take_place(record: DyrRecord, grid: StaticGrid, branches: Iterable[str], ro
     circuit = fields.identity("CKT")
     for name, branch in zip(branches, grid.branches, strict=True):
         if branch.on and branch.circuit == circuit and branch.name in ((first, second), (second, first)):
-            here = branch.first if branch.name[0] == first else branch.second
-            row |= {"measures": name, "measures_from": here}
+            end = branch.first if branch.name[0] == first else branch.second
+            row |= {"measures": name, "measures_from": end}
             return
     raise CaseError(
         f"{record.where}: REPCA1 measures branch {first}-{second} {circuit!r}, allowed: a line or "

@@ -140,9 +140,9 @@ def _chosen(
     return chosen
 
 
-def _largest_with(wanted: list[set[int]], parts: list[set[int]]) -> set[int]:
+def _largest_with(swing_parts: list[set[int]], parts: list[set[int]]) -> set[int]:
     """The largest part with a bus of the first set that any part has one of; none if there is no such set."""
-    for buses in wanted:
+    for buses in swing_parts:
         alive = [part for part in parts if buses & part]
         if alive:
             return max(alive, key=len)

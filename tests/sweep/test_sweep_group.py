@@ -11,7 +11,7 @@ from plant_lanes import PlantLanes
 
 from interarea.cosim.sweep import lane_batches
 from interarea.cosim.sweep import runner as runner_module
-from interarea.cosim.sweep.lane_batches import Lanes, by_plant, common_s, how_many, lanes_for, lanes_here
+from interarea.cosim.sweep.lane_batches import Lanes, by_plant, common_s, host_lanes, how_many, lanes_for
 from interarea.cosim.sweep.live_instances import TimeUpError
 from interarea.cosim.sweep.plan import plan_sweep
 from interarea.cosim.sweep.point import point_of
@@ -108,7 +108,7 @@ def test_company_that_computes_too_long_is_made_alone(
         result = sorted((o.row for o in runner.outcomes(range(plan.sweep.size))), key=lambda row: row["run"])
         together = [runs for runs in begun if len(runs) > 1]
     assert repr(result) == repr(expected)
-    if lanes_here(cache).count > 1:
+    if host_lanes(cache).count > 1:
         assert len(together) == 1  # what is too long once is not tried again
         assert sorted(run for runs in begun if len(runs) == 1 for run in runs) == list(range(len(result)))
 
@@ -125,7 +125,7 @@ def test_without_the_library_runs_go_one_by_one(
         raise BuildError("no compiler")
 
     monkeypatch.setattr(lane_batches, "plant_group", missing)
-    assert lanes_here(cache).count == 1
+    assert host_lanes(cache).count == 1
     assert repr(rows_of(sweep("latency and loss"), cache, tmp_path, lanes=8)) == repr(expected)
 
 
@@ -143,7 +143,7 @@ def test_plants_with_many_ports_are_known_before_they_are_compiled(
     started = plants._started({})
     assert (plants.group.work(started.fmu.component, 2) is None) is many
     started.fmu.free()
-    assert (plants.group.lanes > 1) is (lanes_here(cache, case).count > 1)  # this grid's network is dense
+    assert (plants.group.lanes > 1) is (host_lanes(cache, case).count > 1)  # this grid's network is dense
 
 
 def test_no_library_is_compiled_for_plants_that_go_one_by_one(
@@ -152,7 +152,7 @@ def test_no_library_is_compiled_for_plants_that_go_one_by_one(
     case = load_case("two-area-thesis")
     monkeypatch.setattr(lane_batches, "has_many_ports", lambda _: True)
     monkeypatch.setattr(lane_batches, "plant_group", None)  # not called
-    assert lanes_here(cache, case) == lanes_for(cache, [case]) == Lanes(None, 1)
+    assert host_lanes(cache, case) == lanes_for(cache, [case]) == Lanes(None, 1)
 
 
 def jobs_of(sweep: Any, name: str, likes: list[float]) -> list[Job]:
@@ -208,5 +208,5 @@ def test_plants_that_cannot_go_side_by_side_are_found_out(
         for _ in range(2):
             rows = [o.row for o in runner.outcomes(range(3))]
             assert [row["status"] for row in rows] == ["ok"] * 3
-    if lanes_here(cache).count > 2:
+    if host_lanes(cache).count > 2:
         assert begun == [(0, 1, 2), *([(0, 1, 2)] if gains else [(0,), (1,), (2,)])]

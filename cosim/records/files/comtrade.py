@@ -70,19 +70,19 @@ class _Lines:
         text = _LINE_END.sub(b"\n", data).decode("utf-8", "replace").rstrip("\n\x1a")
         self._path, self._lines, self.number = path, text.split("\n"), 0
 
-    def next(self, wanted: str, least: int = 1) -> list[str]:
+    def next(self, expected: str, least: int = 1) -> list[str]:
         self.number += 1
         if self.number > len(self._lines):
-            raise RecordError(f"{self._path}: ends at line {self.number - 1}, wanted there: {wanted}")
+            raise RecordError(f"{self._path}: ends at line {self.number - 1}, wanted there: {expected}")
         fields = [field.strip() for field in self._lines[self.number - 1].strip("\x1a").split(",")]
         if len(fields) < least:
-            raise self.wrong(wanted, ",".join(fields))
+            raise self.wrong(expected, ",".join(fields))
         return fields
 
-    def wrong(self, wanted: str, got: str) -> RecordError:
-        return RecordError(f"{self._path}: line {self.number} is {got[:60]!r}, wanted: {wanted}")
+    def wrong(self, expected: str, got: str) -> RecordError:
+        return RecordError(f"{self._path}: line {self.number} is {got[:60]!r}, wanted: {expected}")
 
-    def number_of(self, text: str, wanted: str, default: float | None = None) -> float:
+    def number_of(self, text: str, expected: str, default: float | None = None) -> float:
         if text == "" and default is not None:
             return default
         try:
@@ -90,7 +90,7 @@ class _Lines:
         except ValueError:
             value = math.nan
         if not math.isfinite(value):
-            raise self.wrong(wanted, text)
+            raise self.wrong(expected, text)
         return value
 
     @property

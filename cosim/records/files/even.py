@@ -158,8 +158,8 @@ def resampled(values: Array, step_s: float, rate_hz: float, source: str) -> tupl
     from scipy.signal import resample_poly
 
     most = 1.0 + 1e-3  # of the rate of a record whose stamps are rounded
-    wanted = rate_hz * step_s
-    share = Fraction(wanted).limit_denominator(1000) if 0.0 < wanted < most else Fraction(0)
+    target = rate_hz * step_s
+    share = Fraction(target).limit_denominator(1000) if 0.0 < target < most else Fraction(0)
     if not 0 < share <= 1:
         raise RecordError(
             f"{source}: rate_hz = {rate_hz:g}, allowed: above 0 up to the record's own {1.0 / step_s:g}"

@@ -115,22 +115,22 @@ def read_pieces(
 
 def _cut(tables: Iterator[Table], every_s: float) -> Iterator[tuple[float, Table]]:
     """Yield start, s, and table of each part; rows stay in the order of the file."""
-    kept: list[Table] = []
+    joined: list[Table] = []
     part = 0
     for table in tables:
         while len(table.stamps):
             late = table.stamps >= (part + 1) * every_s - 1e-6
             many = int(np.argmax(late)) if late.any() else len(late)
             if many:
-                kept.append(_rows(table, slice(0, many)))
+                joined.append(_rows(table, slice(0, many)))
             table = _rows(table, slice(many, None))
             if late.any():
-                if kept:
-                    yield part * every_s, _joined(kept)
-                    kept = []
+                if joined:
+                    yield part * every_s, _joined(joined)
+                    joined = []
                 part = max(part + 1, int((table.stamps[0] + 1e-6) // every_s))
-    if kept:
-        yield part * every_s, _joined(kept)
+    if joined:
+        yield part * every_s, _joined(joined)
 
 
 def _rows(table: Table, rows: slice) -> Table:
@@ -176,12 +176,12 @@ def _record(
     """
     raws = [_with_unit(_in_hertz(raw, frequency_hz), units, name, frequency_hz) for raw in table.raws]
     _check_units(units, raws, name)
-    kept = [k for k, raw in enumerate(raws) if not _misfit(raw.channel)]
+    columns = [k for k, raw in enumerate(raws) if not _misfit(raw.channel)]
     misfits = [_misfit(raw.channel) for raw in raws if _misfit(raw.channel)]
-    if not kept:
+    if not columns:
         raise RecordError(f"{name}: no channel is left, {'; '.join(misfits[:_NAMED])}")
-    raws = [raws[k] for k in kept]
-    values, coded = _without_codes(table.values[:, kept], raws)
+    raws = [raws[k] for k in columns]
+    values, coded = _without_codes(table.values[:, columns], raws)
     values = values * np.array([r.factor for r in raws]) + np.array([r.offset for r in raws])
     values, raws, flagged = _without_flagged(values, raws)
     _check_scales(name, values, raws)

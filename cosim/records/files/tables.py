@@ -31,7 +31,9 @@ from .names import (
 if TYPE_CHECKING:
     import pandas as pd
 
-WANTED = "a PMU csv, COMTRADE (.cfg, .cff), channels of PSS/E as csv, or trajectory.csv or .parquet of a run"
+ACCEPTED = (
+    "a PMU csv, COMTRADE (.cfg, .cff), channels of PSS/E as csv, or trajectory.csv or .parquet of a run"
+)
 _HEADER_ROWS = 12  # in which a row that begins with a time is looked for
 _DECIMAL_COMMA = re.compile(r"\s*[-+]?\d*,\d+(?:[eE][-+]?\d+)?\s*")
 _MOST_TEXT = 0.05  # of the samples of a column: more are no number, and it is no channel
@@ -56,7 +58,7 @@ class Table:
 
 def require_record(path: str | Path) -> None:
     """Require that a path is that of a regular file, which is not read. Raises RecordError."""
-    require_regular(Path(path), WANTED, RecordError)
+    require_regular(Path(path), ACCEPTED, RecordError)
 
 
 def tables_of(source: Any, frequency_hz: float, rows: int | None = None) -> Iterator[Table]:
@@ -71,7 +73,7 @@ def tables_of(source: Any, frequency_hz: float, rows: int | None = None) -> Iter
     """
     if not isinstance(source, str | Path):
         if not hasattr(source, "columns"):
-            raise RecordError(f"source: is {type(source).__name__}, wanted: {WANTED}, or a DataFrame")
+            raise RecordError(f"source: is {type(source).__name__}, wanted: {ACCEPTED}, or a DataFrame")
         yield _frame(source, Clock("the table"))
         return
     path = Path(source)
@@ -87,11 +89,11 @@ def tables_of(source: Any, frequency_hz: float, rows: int | None = None) -> Iter
     elif path.suffix.casefold() in (".cfg", ".cff"):
         yield _comtrade(path)
     elif not head.strip():
-        raise RecordError(f"{path}: is empty, wanted: {WANTED}")
+        raise RecordError(f"{path}: is empty, wanted: {ACCEPTED}")
     elif what := not_utf8(head):
         if path.suffix.casefold() in (".out", ".outx"):
             what = "holds channels of PSS/E in its own form, wanted: csv, which its dyntools write"
-        raise RecordError(f"{path}: {what}; {WANTED}")
+        raise RecordError(f"{path}: {what}; {ACCEPTED}")
     else:
         yield from _csv(path, frequency_hz, rows)
 
@@ -124,7 +126,7 @@ def _of_numbers(path: Path, raws: Sequence[Raw], texts: Sequence[float]) -> tupl
     """Return which columns hold numbers, and notes on the others. texts : share of cells without one."""
     keep = [k for k, share in enumerate(texts) if share <= _MOST_TEXT]
     if not keep:
-        raise RecordError(f"{path}: no column holds numbers, wanted: {WANTED}")
+        raise RecordError(f"{path}: no column holds numbers, wanted: {ACCEPTED}")
     return keep, [
         f"{raws[k].channel.name}: {share:.0%} of its cells are not numbers: left out"
         for k, share in enumerate(texts)
@@ -209,7 +211,7 @@ def _header(path: Path, rows: list[list[str]], decimal: str) -> tuple[int, int]:
     """Return the row that names the columns and that of the first sample."""
     header = next((k for k, row in enumerate(rows) if len(row) > 1 and begins_with_time(row[0])), None)
     if header is None:
-        raise RecordError(f"{path}: no row begins with Time and names columns, wanted: {WANTED}")
+        raise RecordError(f"{path}: no row begins with Time and names columns, wanted: {ACCEPTED}")
     first = next((k for k in range(header + 1, len(rows)) if _is_data(rows[k], decimal)), None)
     if first is None:
         seen = f": row {header + 2} is {','.join(rows[header + 1])[:60]!r}" if len(rows) > header + 1 else ""
@@ -301,7 +303,7 @@ def _parquet(path: Path, rows: int | None) -> Iterator[Table]:
         except (pa.ArrowException, OSError, ValueError, LookupError, TypeError, AttributeError) as error:
             # the last four: of what pandas noted in the file
             said = (str(error).splitlines() or [type(error).__name__])[0]
-            raise RecordError(f"{path}: is damaged, {said}; wanted: {WANTED}") from None
+            raise RecordError(f"{path}: is damaged, {said}; wanted: {ACCEPTED}") from None
         if frame is None:
             return
         yield _frame(frame, clock)

@@ -33,7 +33,7 @@ _WORKERS_S = 60.0  # until a scheduler must have workers
 _PATIENCE_S = 300.0  # for a scheduler that went away to come back
 _LOOK_S = 0.1
 _AHEAD = 2  # tasks in flight for each thread of the cluster
-_here = threading.local()
+_local = threading.local()
 _files = threading.Lock()
 
 
@@ -277,7 +277,7 @@ def compute(runs: list[int], names: list[str], *blobs: Any) -> list[Outcome]:
 
 def _runner(plan: SweepPlan, files: Mapping[str, bytes]) -> Runner:
     """Return this thread's runner for a plan; FMU instances live on from task to task."""
-    retained = getattr(_here, "runner", None)
+    retained = getattr(_local, "runner", None)
     if retained is not None and (retained.plan.hash, retained.plan.version) == (plan.hash, plan.version):
         return retained  # type: ignore[no-any-return]
     if retained is not None:
@@ -293,8 +293,8 @@ def _runner(plan: SweepPlan, files: Mapping[str, bytes]) -> Runner:
         os.environ.setdefault("INTERAREA_CACHE", str(cache))  # where the kernel's binary is found too
     keep_freed_memory()
     scratch = Path(tempfile.mkdtemp(prefix="runs-", dir=root))
-    _here.runner = Runner(plan, cache, scratch)
-    return _here.runner  # type: ignore[no-any-return]
+    _local.runner = Runner(plan, cache, scratch)
+    return _local.runner  # type: ignore[no-any-return]
 
 
 def _folder() -> Path:

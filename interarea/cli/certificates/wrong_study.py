@@ -14,7 +14,7 @@ OPTIONS = ("--controller", "--kind", "--disturbance", "--points")  #: that only 
 
 
 @dataclass(frozen=True)
-class Asked:
+class WrongSignalsRequest:
     """The options that only this study takes; nothing named: all. points : operating points; None: two."""
 
     controllers: Sequence[str]
@@ -41,16 +41,18 @@ class Asked:
         from interarea.cosim.screen.wrong_runs import DISTURBANCES
 
         every = tuple(wrong_kinds(60.0, 0.5))
-        for option, given, allowed in (
+        for option, values, allowed in (
             ("--kind", self.kinds, every),
             ("--disturbance", self.disturbances, DISTURBANCES),
         ):
-            for name in given:
+            for name in values:
                 if name not in allowed:
                     raise UserError(f"{option} {name}: no such one; {nearest(name, allowed)}")
 
 
-def study_wrong(out: Path, asked: Asked) -> tuple[dict[str, Any], Path, Sequence[str], list[str]]:
+def study_wrong(
+    out: Path, request: WrongSignalsRequest
+) -> tuple[dict[str, Any], Path, Sequence[str], list[str]]:
     """Run the study into a folder; return summary, folder, names of its files, and a conclusion a line."""
     from interarea.cosim.designs.design_file import load_design
     from interarea.cosim.screen.wrong_runs import fault_place
@@ -67,7 +69,7 @@ def study_wrong(out: Path, asked: Asked) -> tuple[dict[str, Any], Path, Sequence
     from ..destination import folder_for
 
     folder_for(out, files=FILES)
-    names = list(dict.fromkeys(asked.controllers or CONTROLLERS))
+    names = list(dict.fromkeys(request.controllers or CONTROLLERS))
     subjects = []
     with busy("reading the controllers, designed for the case where they are new"):
         for name in names:
@@ -81,10 +83,10 @@ def study_wrong(out: Path, asked: Asked) -> tuple[dict[str, Any], Path, Sequence
             subjects,
             out,
             default_cache(),
-            kinds=asked.kinds or None,
-            disturbances=asked.disturbances or None,
-            points=2 if asked.points is None else asked.points,
-            command=" ".join([f"interarea study {STUDY}", *asked.options, f"--out {out}"]),
+            kinds=request.kinds or None,
+            disturbances=request.disturbances or None,
+            points=2 if request.points is None else request.points,
+            command=" ".join([f"interarea study {STUDY}", *request.options, f"--out {out}"]),
             report=report,
         )
     conclusions = {one["controller"]: one["conclusion"] for one in result["controllers"]}

@@ -95,11 +95,11 @@ def band_of(text: str | None) -> tuple[float, float]:
     return band
 
 
-def _numbers(text: str, option: str, wanted: str) -> tuple[float, float]:
+def _numbers(text: str, option: str, expected: str) -> tuple[float, float]:
     """Return the two numbers of LOW:HIGH, the first below the second."""
     from interarea.cosim.records.record import RecordError
 
-    low, high = two_numbers(text, option, wanted, RecordError)
+    low, high = two_numbers(text, option, expected, RecordError)
     if not low < high:
         raise RecordError(f"{option} {text!r}, allowed: the first below the second")
     return low, high

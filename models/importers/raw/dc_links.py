@@ -40,10 +40,10 @@ def take_links(
     left = {id(load) for load in grid.loads}
     taken: set[int] = set()
     for link in grid.links:
-        here = [load for load in link.loads if id(load) in left]
-        if not here:
+        loads = [load for load in link.loads if id(load) in left]
+        if not loads:
             continue
-        reason, row = ("as requested", {}) if as_power else _excluded(link, len(here), grid, voltages)
+        reason, row = ("as requested", {}) if as_power else _excluded(link, len(loads), grid, voltages)
         if reason:
             report.assume(
                 f"{_KIND[type(link)]} modelled as constant P and Q at its converters: {reason}", link.where
@@ -53,7 +53,7 @@ def take_links(
         while name in where:
             name += "_"
         where[name] = link.where
-        taken |= {id(load) for load in here}
+        taken |= {id(load) for load in loads}
         if isinstance(link, StaticVsc):
             vscs[name] = row
             report.lines.append(vsc_line_text(link, name, row))

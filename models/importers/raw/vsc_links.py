@@ -124,8 +124,11 @@ def vsc_row(link: StaticVsc, grid: StaticGrid, voltages: Mapping[int, complex]) 
     for end, load, rating, current in zip(("from", "to"), link.loads, ratings, currents, strict=True):
         limit = row[f"{end}_i_max_pu"] = rating / base or _SPARE
         if not current < limit * base:
-            here = f"its current at bus {load.bus} is {current:.6g} MVA at 1 pu"
-            return f"{here}, not below its rating of {limit * base:.6g}; set a higher SMAX or IMAX", {}
+            current_text = f"its current at bus {load.bus} is {current:.6g} MVA at 1 pu"
+            return (
+                f"{current_text}, not below its rating of {limit * base:.6g}; set a higher SMAX or IMAX",
+                {},
+            )
     return "", row
 
 

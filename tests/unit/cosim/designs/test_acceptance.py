@@ -20,7 +20,7 @@ from interarea.cosim.designs.acceptance import (
     with_ceilings,
     with_loads,
 )
-from interarea.cosim.designs.certificate_words import first_failures, kept_certificate, not_covered
+from interarea.cosim.designs.certificate_words import bundled_certificate, first_failures, not_covered
 from interarea.cosim.designs.design_file import design_of, load_design
 from interarea.cosim.designs.design_tables import AcceptanceTable
 from interarea.cosim.designs.fault_loops import LONG_S, LONGEST_S, SLOW, FaultLoops, LoopEnd
@@ -314,8 +314,8 @@ def test_the_clearing_time_is_the_edge_of_synchronism(cache: Path) -> None:
     with Trial(CASES["tie +100"], _bare(), TABLE, cache) as trial:
         edge = trial.clearing_cycles([alone])[alone]
         assert edge is not None
-        assert trial.kept({alone: edge})[alone]
-        assert not trial.kept({alone: edge + TABLE.resolution_cycles})[alone]
+        assert trial.stable_at({alone: edge})[alone]
+        assert not trial.stable_at({alone: edge + TABLE.resolution_cycles})[alone]
         assert trial.angles({alone: 8.0})[alone] < np.pi
 
 
@@ -368,20 +368,20 @@ def test_the_first_condition_that_fails_is_said() -> None:
 @pytest.mark.parametrize("name", ["wdc", "cc", "ftc"])
 def test_what_a_controller_of_the_study_does_not_survive_is_kept(name: str) -> None:
     case = load_case("two-area-thesis")
-    known = kept_certificate(name, case.hash)
+    known = bundled_certificate(name, case.hash)
     assert known is not None
     assert known["acceptance"]["cases"] == 576
     assert len(known["rows"]) == 18
     assert "of 576 lose synchronism only with the controller (first: " in first_failures(known)
-    assert kept_certificate(name, CASES["tie +100"].hash) is None  # another case
-    assert kept_certificate("robust", case.hash) is None  # has a record of its own
+    assert bundled_certificate(name, CASES["tie +100"].hash) is None  # another case
+    assert bundled_certificate("robust", case.hash) is None  # has a record of its own
 
 
 @pytest.mark.slow
 def test_the_kept_certificates_are_those_of_the_controllers(cache: Path) -> None:
     """One linear row and the first lost fault of FTC, found again."""
     case = load_case("two-area-thesis")
-    known = kept_certificate("ftc", case.hash)
+    known = bundled_certificate("ftc", case.hash)
     assert known is not None
     controller = design_controller(case, "ftc", cache)
     table = load_design("robust_latency")
@@ -396,7 +396,7 @@ def test_the_kept_certificates_are_those_of_the_controllers(cache: Path) -> None
     ):
         if str(setting) == lost:
             with Trial(CASES["tie +100"], controller, table.acceptance, cache) as trial:
-                kept = trial.kept({(setting, False): 8.0, (setting, True): 8.0})
+                kept = trial.stable_at({(setting, False): 8.0, (setting, True): 8.0})
             assert kept == {(setting, False): True, (setting, True): False}
             break
     else:

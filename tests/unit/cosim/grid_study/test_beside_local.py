@@ -101,7 +101,7 @@ def test_as_much_is_asked_as_without_and_each_stabilizer_may_be_out(weak: WeakMo
     local = as_controller(UNITS, weak.case.omega_b, "local", 0.05)
     there = beside_local(weak, local, cache)
     assert there is not None
-    assert there.wanted == weak.wanted == 0.1
+    assert there.required_damping == weak.required_damping == 0.1
     assert there.weakest.damping_ratio > weak.weakest.damping_ratio
     assert there.stabilized == ("G2", "G4")
     rows = tried_points(there, cache, Clock(0.0))
@@ -124,13 +124,13 @@ def test_a_loop_is_asked_for_what_the_stabilizers_give_at_each_point(weak: WeakM
     least = {row.point.name: row.least for row in rows} | {"base": there.weakest.damping_ratio}
     for name, point in kept.items():
         expected = least[name] - there.choices.given_away
-        if not expected > there.wanted:
+        if not expected > there.required_damping:
             assert point.ask is None and not point.more
             continue
         assert point.ask == (0.03, pytest.approx(expected, abs=1e-4))
         in_band = 2.0 * np.pi * there.weakest.frequency_hz
         extra = BandOffsets(*zip(*point.more, strict=True))(np.array([0.0, in_band, 15.0]))[0]
-        assert extra == pytest.approx([0.0, expected - there.wanted, 0.0], abs=2e-4)
+        assert extra == pytest.approx([0.0, expected - there.required_damping, 0.0], abs=2e-4)
     assert kept["base"].ask is not None and any(point.ask is None for point in kept.values())
     assert keeping_what_is_there(weak, points, rows, 0.03) == points  # no stabilizers to keep
 

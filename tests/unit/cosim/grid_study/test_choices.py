@@ -34,7 +34,7 @@ def test_new_writes_every_choice_and_what_was_found(interarea: Any, tmp_path: Pa
 def test_a_choice_is_taken(cache: Path) -> None:
     grid = modes_of_grid(load_case("two-area-thesis"), cache)
     weak = weak_modes(grid, Choices(grid="x", actuators=("G1_vs", "G2_vs"), inter_area=0.3))
-    assert weak.wanted == 0.3
+    assert weak.required_damping == 0.3
     assert {a for one in weak.sets for a in one.actuators} == {"G1_vs", "G2_vs"}
     alone = replace(weak, choices=Choices(grid="x", most_actuators=1))
     assert {len(one.actuators) for one in alone.sets} == {1}
@@ -42,7 +42,7 @@ def test_a_choice_is_taken(cache: Path) -> None:
 
 def test_more_can_be_asked_of_a_mode_that_is_not_weak(cache: Path) -> None:
     grid = modes_of_grid(load_case("kundur-pss"), cache)
-    assert weak_modes(grid, Choices(grid="kundur-pss", inter_area=0.2)).wanted == 0.2
+    assert weak_modes(grid, Choices(grid="kundur-pss", inter_area=0.2)).required_damping == 0.2
 
 
 @pytest.mark.slow

@@ -54,7 +54,7 @@ def test_the_target_is_the_inter_area_mode(weak: WeakModes, cache: Path) -> None
     mode = modes_of(remove_reference(linear_plant(case, cache)), case.areas).inter_area
     assert [target.name for target in weak.targets] == ["inter-area"]
     assert weak.weakest.eigenvalue == pytest.approx(mode.eigenvalue, rel=1e-7)
-    assert weak.wanted == 0.1  # .081 and .05 more would be .131
+    assert weak.required_damping == 0.1  # .081 and .05 more would be .131
 
 
 def test_a_grid_that_grows_is_not_designed_for(cache: Path) -> None:

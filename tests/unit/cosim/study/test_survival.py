@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from interarea.cosim.designs.fault_runs import longest_kept
+from interarea.cosim.designs.fault_runs import longest_stable
 from interarea.cosim.run.controllers import design_controller
 from interarea.cosim.run.run import run_scenario
 from interarea.cosim.study.spec import load_study
@@ -28,7 +28,7 @@ def test_the_search_ends_within_its_tolerance_below_the_limit() -> None:
         calls.append(len(tried))
         return {s: value <= limit[s] for s, value in tried.items()}
 
-    result = longest_kept(SETTINGS, kept, 1.0, 30.0, 0.15)
+    result = longest_stable(SETTINGS, kept, 1.0, 30.0, 0.15)
     for setting in (SETTINGS[0], SETTINGS[2]):
         assert limit[setting] - 0.15 <= result[setting] <= limit[setting]
     assert result[SETTINGS[1]] == 0.0 and result[SETTINGS[3]] == 30.0

@@ -16,7 +16,7 @@ def test_a_bus_of_reactances_alone_is_solved_whatever_its_conductance_rounds_to(
     """Two buses, Y = g + jb: the parts of the first have g on the diagonal, which must not be a pivot."""
     b, g = 30.0, conductance
     G = np.array([[g, b, 0, -b], [-b, g, b, 0], [0, -b, 2.0, 2 * b], [b, 0, -2 * b, 2.0]])
-    network = Network(SimpleNamespace(kept=sparse.csc_matrix(G)), sparse.csc_matrix(G).data)
+    network = Network(SimpleNamespace(remaining=sparse.csc_matrix(G)), sparse.csc_matrix(G).data)
     right = np.array([1.0, -2.0, 0.5, 3.0])
     expected = np.linalg.solve(G, right)
     assert np.max(np.abs(network.solve(right) - expected)) < 1e-11 * np.max(np.abs(expected))

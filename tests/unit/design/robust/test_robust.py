@@ -24,7 +24,7 @@ from interarea.design.controllers.controller import Controller
 from interarea.design.delay.signal_conditions import condition_of, condition_of_many
 from interarea.design.linear.linearise import remove_reference, select, speeds_in_rad
 from interarea.design.modes.modes import modes_of
-from interarea.design.robust.design import design_robust, given_start
+from interarea.design.robust.design import design_robust, stated_start
 from interarea.design.robust.design_models import build_objective, without_common_speed
 from interarea.design.robust.operating_points import inter_area_band, judge_family
 from interarea.design.robust.spec import RobustSpec
@@ -177,7 +177,7 @@ def test_a_start_that_later_conditions_find_unstable_is_brought_back() -> None:
     plants = independent_family()
     spec = replace(table.spec(), starts=0, polishes=0, evaluations=300)
     objective = build_objective(plants, spec, OMEGA_B)
-    start = given_start(objective, spec)
+    start = stated_start(objective, spec)
     assert objective.worst(start)[0] > 0.05
     made = design_robust(plants, spec, OMEGA_B)
     assert made.rightmost < -0.1

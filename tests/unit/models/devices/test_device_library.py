@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from plant_shim import compile_shared
 
-from interarea.models.devices.c_expression import given_rows
+from interarea.models.devices.c_expression import parameter_rows
 from interarea.models.devices.dyr import device_for_dyr, dyr_fields, dyr_models
 from interarea.models.devices.emit import devices_header
 from interarea.models.devices.instance import Instance
@@ -317,7 +317,7 @@ class Driver:
         device, n = self.models.index(model), len(instances)
         table = np.zeros((self.c.rows_of(ctypes.c_size_t(device)), n))
         for k, instance in enumerate(instances):
-            given = [instance.values[row] for row in given_rows(model)]
+            given = [instance.values[row] for row in parameter_rows(model)]
             table[: len(given), k] = given
         x = np.ascontiguousarray(np.array(xs).T)
         dx = np.zeros_like(x)
