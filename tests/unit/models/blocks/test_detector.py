@@ -309,7 +309,7 @@ def test_two_disturbances_in_a_row_do_not(detector: Path, first_s: float, noise_
 
 
 def test_growth_counts_from_a_disturbance_on(detector: Path) -> None:
-    """A beat rises to 2.9 times itself in 2 s: growth, but for the sharp bend of the disturbance before it."""
+    """A beat rises to 2.9 times itself in 2 s: growth, but for the bend of the disturbance before it."""
 
     def beat(since: float) -> float:
         return 1.2e-3 * (1.0 + 0.95 * since if since < 2.0 else 2.9) if since > 0.0 else 0.0
