@@ -77,13 +77,13 @@ static double plain_tgov1(const double *p, size_t n, double pref, double slip, c
 typedef struct {
     size_t device, n, states, rows;
     uint64_t has;
-    double *machine, *table, *x, *turned, *dx, *vt, *vs, *slip, *ifd, *step, *given;
+    double *machine, *table, *x, *turned, *dx, *vt, *vs, *slip, *ifd, *step, *number;
 } Bench;
 
 static double *room(size_t n) { return calloc(n + 1, sizeof(double)); }
 
 /* Device `which` of dc1, st1a, tgov1 at `n` machines: its parameters in the order of its file, its states. */
-void *devices_open(size_t which, size_t n, size_t given, size_t states, uint64_t has,
+void *devices_open(size_t which, size_t n, size_t number, size_t states, uint64_t has,
                    const double *parameters, const double *x)
 {
     static const size_t devices[] = { DEVICE_NUMBER_DC1, DEVICE_NUMBER_ST1A, DEVICE_NUMBER_TGOV1 };
@@ -93,11 +93,11 @@ void *devices_open(size_t which, size_t n, size_t given, size_t states, uint64_t
     b->device = device, b->n = n, b->states = states, b->has = has, b->rows = device_rows(device);
     b->table = room(b->rows * n), b->machine = room(n);
     b->x = room(states * n), b->turned = room(states * n), b->dx = room(states * n);
-    b->vt = room(n), b->vs = room(n), b->slip = room(n), b->ifd = room(n), b->step = room(n), b->given = room(n);
+    b->vt = room(n), b->vs = room(n), b->slip = room(n), b->ifd = room(n), b->step = room(n), b->number = room(n);
     for (size_t k = 0; k < n; ++k) {
         const double off = 1.0 + 1e-3 * (double)(k % 7);   /* neighbours differ */
         b->machine[k] = (double)k, b->vt[k] = 1.02 * off, b->ifd[k] = 1.8 * off, b->slip[k] = 1e-3 * off;
-        for (size_t i = 0; i < given; ++i) b->table[i * n + k] = parameters[i];
+        for (size_t i = 0; i < number; ++i) b->table[i * n + k] = parameters[i];
         for (size_t i = 0; i < states; ++i) b->x[k * states + i] = b->turned[i * n + k] = x[i] * off;
     }
     device_prepare(device, b->table, n);
@@ -109,7 +109,7 @@ static void by_hand(const Bench *b)
     for (size_t k = 0; k < b->n; ++k) {
         const double *p = b->table + k, *x = b->x + k * b->states;
         double *dx = b->dx + k * b->states;
-        b->given[k] = b->device == DEVICE_NUMBER_DC1  ? plain_dc1(p, b->n, b->vt[k], b->vs[k], x, dx)
+        b->number[k] = b->device == DEVICE_NUMBER_DC1  ? plain_dc1(p, b->n, b->vt[k], b->vs[k], x, dx)
                     : b->device == DEVICE_NUMBER_ST1A ? plain_st1a(p, b->n, b->vt[k], b->ifd[k], b->vs[k], x, dx)
                     : plain_tgov1(p, b->n, p[TGOV1__pref * b->n] + b->step[k], b->slip[k], x, dx);
     }
@@ -119,7 +119,7 @@ static void generated(const Bench *b, size_t lanes)
 {
     const DeviceGroup g = { b->table, b->machine, b->n, b->has, NO_NOTES };
     const DeviceSignals in = { .vt = b->vt, .vc = b->vt, .vs = b->vs, .slip = b->slip, .ifd = b->ifd,
-                               .pref_step = b->step, .pm = b->given, .efd = b->given };
+                               .pref_step = b->step, .pm = b->number, .efd = b->number };
     TILED(device_run, lanes, b->n, b->device, &g, &in, b->turned, b->dx);
 }
 
@@ -137,7 +137,7 @@ double devices_ns(void *bench, int hand, int together, long rounds, double *rate
     }
     const double spent = (double)(clock() - begin) / CLOCKS_PER_SEC;
     for (size_t k = 0; k < b->n; ++k) {
-        *rates++ = b->given[k];
+        *rates++ = b->number[k];
         for (size_t i = 0; i < b->states; ++i) *rates++ = hand ? b->dx[k * b->states + i] : b->dx[i * b->n + k];
     }
     return 1e9 * spent / ((double)rounds * (double)b->n);

@@ -22,7 +22,7 @@ for (const data of document.querySelectorAll('figure script[type="application/js
     return [axis.name + ' ' + number(value), ...lines].join('\n');
   };
   svg.addEventListener('pointermove', (event) => {
-    const frame = svg.getBoundingClientRect(), here = figure.getBoundingClientRect();
+    const frame = svg.getBoundingClientRect(), origin = figure.getBoundingClientRect();
     const x = (event.clientX - frame.left) / frame.width * size[0];
     const y = (event.clientY - frame.top) / frame.height * size[1];
     const over = ({ at }) => x >= at[0] && x <= at[2] && y >= at[1] && y <= at[3];
@@ -30,8 +30,8 @@ for (const data of document.querySelectorAll('figure script[type="application/js
     box.hidden = !bar && !axis;
     if (box.hidden) return;
     box.textContent = bar ? bar.text : valuesOf(axis, (x - axis.at[0]) / (axis.at[2] - axis.at[0]));
-    const left = Math.min(event.clientX - here.left + 14, here.width - box.offsetWidth - 4);
-    box.style.transform = `translate(${Math.max(left, 4)}px, ${event.clientY - here.top + 14}px)`;
+    const left = Math.min(event.clientX - origin.left + 14, origin.width - box.offsetWidth - 4);
+    box.style.transform = `translate(${Math.max(left, 4)}px, ${event.clientY - origin.top + 14}px)`;
   });
   svg.addEventListener('pointerleave', () => { box.hidden = true; });
 }

@@ -68,7 +68,7 @@ fmi2Status fmi2Reset(fmi2Component component)
     return fmi2OK;
 }
 
-static int null_given(const void *references, const void *values, size_t count)
+static int null_passed(const void *references, const void *values, size_t count)
 {
     return count > 0 && (references == NULL || values == NULL);
 }
@@ -123,7 +123,7 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component component,
     double *vx, *vu, *vdx, *vy;
 
     if (!instance_allowed(c, MODES_READ & ~MODE_ERROR, call)) return fmi2Error;
-    if (null_given(unknowns, dv_unknown, n_unknowns) || null_given(knowns, dv_known, n_knowns))
+    if (null_passed(unknowns, dv_unknown, n_unknowns) || null_passed(knowns, dv_known, n_knowns))
         return instance_report(c, fmi2Error, call, "a null pointer was given for an array that is not empty");
     b = &c->block;
     n_x = b->layout.n_x;

@@ -9,9 +9,9 @@
 enum { FORMAT = 1 };
 static const size_t LARGEST_COUNT = 1u << 24;
 
-static int count_is(const void *array, size_t got, size_t wanted)
+static int count_is(const void *array, size_t got, size_t expected)
 {
-    return got == wanted && (array != NULL || wanted == 0);
+    return got == expected && (array != NULL || expected == 0);
 }
 
 static int unfit(char *why, const char *what)

@@ -40,7 +40,7 @@ def devices_header(models: Iterable[Model]) -> str:
     out += [f"enum {{ {', '.join([*(f'DEVICE_NUMBER_{n.upper()}' for n in names), 'DEVICE_COUNT'])} }};"]
     numbers = {
         "rows": [f"{n.upper()}___ROWS" for n in names],
-        "given": [f"{n.upper()}___GIVEN" for n in names],
+        "parameters": [f"{n.upper()}___PARAMETERS" for n in names],
         "kind": [str(list(KINDS).index(w.device.kind)) for w in written],
         "reference": [w.reference for w in written],
         "decisions": [str(w.most) for w in written],
@@ -160,7 +160,7 @@ class Writer(ExpressionWriter):
         """The rows of the device's table by name."""
         prepared = (f"_{k}" for k in range(len(self.prepared)))
         rows = ", ".join(f"{self.big}__{name}" for name in (*self.parameter_rows, *prepared))
-        last = f"       {self.big}___GIVEN = {len(self.parameter_rows)} }};"
+        last = f"       {self.big}___PARAMETERS = {len(self.parameter_rows)} }};"
         return _wrapped(f"enum {{ {rows}, {self.big}___ROWS,", last)
 
     def places(self) -> list[str]:

@@ -103,8 +103,8 @@ function signalWords(signal) {
   return words[what] ? `${words[what]} of ${machine}` : signal === 'tie_p' ? 'tie power' : signal;
 }
 
-function controllerWords(made) {
-  const name = made.key.replace(/^.*\//, '').replace(/\.json$/, '').replace(/_/g, ' ');
+function controllerWords(controller) {
+  const name = controller.key.replace(/^.*\//, '').replace(/\.json$/, '').replace(/_/g, ' ');
   return name.length < 5 ? name.toUpperCase() : capital(name);
 }
 
@@ -131,16 +131,16 @@ function buildControls(host, data, change) {
     return section;
   };
   const add = (kind, where, spec, shown) => {
-    const made = new kind(where, spec, change);
-    made.shown = shown || (() => true);
-    controls[spec.key] = made;
-    return made;
+    const control = new kind(where, spec, change);
+    control.shown = shown || (() => true);
+    controls[spec.key] = control;
+    return control;
   };
-  const is = (key, ...wanted) => (state) => wanted.includes(value(data, state, key));
+  const is = (key, ...values) => (state) => values.includes(value(data, state, key));
 
   const own = group('Controller', 'controller');
-  const made = data.controllers;
-  const options = [['none', 'None'], ...made.map((c) => [c.key, controllerWords(c)])];
+  const controllers = data.controllers;
+  const options = [['none', 'None'], ...controllers.map((c) => [c.key, controllerWords(c)])];
   add(options.length > 9 ? List : Choice, own, { key: 'k', label: 'Controller', options });
   const driven = (state) => controllerOf(data, state) !== null;
   add(Slider, own, { key: 'g', label: 'Gain', min: 0, max: 3, step: 0.01, text: (x) => '× ' + x.toFixed(2) },

@@ -93,10 +93,10 @@ class Diagram {
 
   /* Which signals come how late, what is opened: from the state. */
   show(state) {
-    const { data } = this, made = controllerOf(data, state), tables = eventTables(data, state), channels = channelsOf(data, state);
+    const { data } = this, controller = controllerOf(data, state), tables = eventTables(data, state), channels = channelsOf(data, state);
     const signals = channels.map((c) => channelTable(data, state, c)), gone = signals.map((t) => (t.outages_s || []).length > 0);
     const late = signals.map((t, k) => (gone[k] ? 'lost' : t.signal_faults ? 'wrong' : t.latency_s > 0 ? minus(Math.round(1e4 * t.latency_s) / 10) + ' ms late' : ''));
-    const seen = JSON.stringify([made && made.key, tables, channels.map((c, k) => [c.name, gone[k]])]);
+    const seen = JSON.stringify([controller && controller.key, tables, channels.map((c, k) => [c.name, gone[k]])]);
     if (seen === this.seen) {
       this.late.forEach((text, k) => { text.textContent = late[k]; });
       return;
@@ -109,25 +109,25 @@ class Diagram {
       this.branches[k].setAttribute('class', 'branch' + (opened ? ' opened' : '') + (b.kind === 'transformer' ? ' transformer' : ''));
     });
     for (const e of tables) if (e.kind === 'bus_fault') this.flash(e.bus);
-    if (!made) return;
+    if (!controller) return;
     const at = (name) => {
       const machine = data.machines.find((m) => name.startsWith(m.name + '_'));
       return machine ? this.place.get(machine.bus) : null;
     };
-    const ends = [...made.outputs, ...made.inputs].map(at).filter(Boolean);
+    const ends = [...controller.outputs, ...controller.inputs].map(at).filter(Boolean);
     const mid = ends.reduce((sum, p) => sum + p[0], 0) / (ends.length || 1), y = this.low;
-    const label = made.key.replace(/^.*\//, '').replace(/\.json$/, '').replace(/_/g, ' ');
+    const label = controller.key.replace(/^.*\//, '').replace(/\.json$/, '').replace(/_/g, ' ');
     const half = Math.max(26, 4 + 3.6 * label.length);
     channels.forEach((channel, k) => {
       const from = at(channel.signal);
       if (!from) return;
       const left = from[0] <= mid;
-      const line = y + (k % 3 - 1) * 6, x = from[0] + (made.outputs.some((u) => at(u) === from) ? 7 : 0);
+      const line = y + (k % 3 - 1) * 6, x = from[0] + (controller.outputs.some((u) => at(u) === from) ? 7 : 0);
       const role = this.role(channel);
       draw(this.ways, 'path', { d: `M${x} ${from[1] + this.radius}V${line}H${mid + (left ? -half : half)}`, class: `way ${gone[k] ? 'lostway' : role}` });
       this.late[k] = draw(this.ways, 'text', { x: (from[0] + mid + (left ? -half : half)) / 2, y: line - 5, class: `waytext ${gone[k] ? 'lostway' : role}` }, late[k]);
     });
-    for (const u of made.outputs) {
+    for (const u of controller.outputs) {
       const to = at(u);
       if (!to) continue;
       const x = to[0] - 7, turn = y - 26;

@@ -66,15 +66,15 @@ class Modal {
   }
 }
 
-/* Sum of 1 / (s - z) over the places z; `here`: what one at s counts. */
-function inverses(s, places, here) {
+/* Sum of 1 / (s - z) over the places z; `own`: what one at s counts. */
+function inverses(s, places, own) {
   let re = 0, im = 0;
   for (let j = 0; j < places.length; ++j) {
     const z = places[j], x = s[0] - z[0], y = s[1] - z[1], m = x * x + y * y;
     if (m > 0) {
       re += x / m;
       im -= y / m;
-    } else re += here;
+    } else re += own;
   }
   return [re, im];
 }
@@ -110,14 +110,14 @@ function eliminate(M, R) {
 }
 
 class Loop {
-  constructor(plant, point, controller, made, signals, edge) {
+  constructor(plant, point, controller, chosen, signals, edge) {
     this.edge = edge;
     this.plant = plant;
     this.controller = controller;
     this.point = point;
     this.signals = signals;             /* {input of the controller, output of the plant, tau} */
-    this.actuators = made ? made.outputs.map((u) => point.actuators.indexOf(u)) : [];
-    this.open = made === null || signals.length === 0;
+    this.actuators = chosen ? chosen.outputs.map((u) => point.actuators.indexOf(u)) : [];
+    this.open = chosen === null || signals.length === 0;
     this.poles = this.open ? plant.poles : [...plant.poles, ...controller.poles];
   }
 
@@ -272,7 +272,7 @@ function winding(f, box) {
 class Eigenvalues {
   constructor(data) {
     this.data = data;
-    this.kept = new Map();              /* model -> the roots as last found */
+    this.stored = new Map();              /* model -> the roots as last found */
     this.modals = new Map();
   }
 
@@ -285,9 +285,9 @@ class Eigenvalues {
   loop(state, factor = 1) {
     const number = value(this.data, state, 'op'), point = this.data.points[number];
     if (point.modal.why) return { why: point.modal.why };
-    const made = controllerOf(this.data, state);
-    if (made && !made.modal) return { why: 'a bank of controllers has no one set of eigenvalues' };
-    if (made && made.modal.why) return { why: made.modal.why };
+    const chosen = controllerOf(this.data, state);
+    if (chosen && !chosen.modal) return { why: 'a bank of controllers has no one set of eigenvalues' };
+    if (chosen && chosen.modal.why) return { why: chosen.modal.why };
     const plant = this.modal('p' + number, point.modal, null);
     let mean = false, lost = false;
     const signals = [];
@@ -301,21 +301,21 @@ class Eigenvalues {
       const extra = 0.5 * ((table.reporting_interval_s || 0) + (table.jitter_s || 0));
       if (table.signal_faults) return { why: 'a signal is wrong: the loop has no one set of eigenvalues' };
       mean = mean || extra > 0;
-      signals.push({ input: made.inputs.indexOf(channel.signal), output: point.outputs.indexOf(channel.signal),
+      signals.push({ input: chosen.inputs.indexOf(channel.signal), output: point.outputs.indexOf(channel.signal),
         tau: factor * ((table.latency_s || 0) + extra) });
     }
     const gain = value(this.data, state, 'g');
     let controller = null;
-    if (made) {
-      const numbers = gain === 1 ? made.modal
-        : { ...made.modal, c: made.modal.c.map((row) => row.map((z) => [gain * z[0], gain * z[1]])),
-          d: made.modal.d.map((row) => row.map((x) => gain * x)) };
-      controller = gain === 1 ? this.modal('k' + made.key, numbers, made.scale) : new Modal(numbers, made.scale);
+    if (chosen) {
+      const numbers = gain === 1 ? chosen.modal
+        : { ...chosen.modal, c: chosen.modal.c.map((row) => row.map((z) => [gain * z[0], gain * z[1]])),
+          d: chosen.modal.d.map((row) => row.map((x) => gain * x)) };
+      controller = gain === 1 ? this.modal('k' + chosen.key, numbers, chosen.scale) : new Modal(numbers, chosen.scale);
     }
-    const key = number + '/' + (made ? made.key : '') + '/' + signals.map((x) => x.input).join();
+    const key = number + '/' + (chosen ? chosen.key : '') + '/' + signals.map((x) => x.input).join();
     if (this.edgeOf !== key + '/' + gain) this.edge = new Map();
     this.edgeOf = key + '/' + gain;
-    return { loop: new Loop(plant, point, controller, made, signals, this.edge), mean, lost, key };
+    return { loop: new Loop(plant, point, controller, chosen, signals, this.edge), mean, lost, key };
   }
 
   /* What is in sight: the swing modes of this grid with room around them. */
@@ -344,10 +344,10 @@ class Eigenvalues {
   of(state) {
     const { loop, mean, lost, key, why } = this.loop(state);
     if (why) return { why };
-    const asked = JSON.stringify([key, mean, lost, value(this.data, state, 'g'), loop.signals]);
-    if (this.asked !== asked) this.found = this.find(loop, mean, lost, key);
-    this.asked = asked;
-    return this.found;
+    const request = JSON.stringify([key, mean, lost, value(this.data, state, 'g'), loop.signals]);
+    if (this.request !== request) this.answer = this.find(loop, mean, lost, key);
+    this.request = request;
+    return this.answer;
   }
 
   find(loop, mean, lost, key) {
@@ -355,16 +355,16 @@ class Eigenvalues {
     const open = loop.plant.poles.filter((s) => inside(s, box));
     if (loop.open) return this.result(loop, open, open, box, true, mean, lost);
     const edge = winding((s, u) => loop.det(s, u), box);
-    const wanted = edge === null ? null : edge + loop.poles.filter((s) => inside(s, box)).length;
-    let roots = this.kept.get(key) || this.start(loop);
-    let seen = this.solve(loop, box, roots, this.kept.has(key) ? 12 : 60, this.kept.has(key));
-    if (seen.length !== wanted) {
+    const expected = edge === null ? null : edge + loop.poles.filter((s) => inside(s, box)).length;
+    let roots = this.stored.get(key) || this.start(loop);
+    let seen = this.solve(loop, box, roots, this.stored.has(key) ? 12 : 60, this.stored.has(key));
+    if (seen.length !== expected) {
       roots = this.start(loop);
       seen = this.solve(loop, box, roots, 90);
     }
-    if (seen.length === wanted) this.kept.set(key, roots);
-    else this.kept.delete(key);
-    return this.result(loop, seen, open, box, seen.length === wanted, mean, lost);
+    if (seen.length === expected) this.stored.set(key, roots);
+    else this.stored.delete(key);
+    return this.result(loop, seen, open, box, seen.length === expected, mean, lost);
   }
 
   result(loop, roots, open, box, proven, mean, lost) {
@@ -377,11 +377,11 @@ class Eigenvalues {
   async track(state, goOn) {
     const first = this.loop(state);
     if (first.why || first.loop.open || !first.loop.signals.some((x) => x.tau > 0)) return { paths: [] };
-    const box = this.box(first.loop.point), kept = this.kept.get(first.key);
-    if (!kept) return { paths: [] };
+    const box = this.box(first.loop.point), stored = this.stored.get(first.key);
+    if (!stored) return { paths: [] };
     const paths = [];
     for (const direction of [-1, 1]) {
-      let roots = kept.filter((s) => inside(s, box)), factor = 1;
+      let roots = stored.filter((s) => inside(s, box)), factor = 1;
       for (let n = 0; n < 24; ++n) {
         const now = this.loop(state, factor).loop, to = factor + direction / 24, next = this.loop(state, to).loop;
         roots = roots.map((s) => {

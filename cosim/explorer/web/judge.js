@@ -29,8 +29,8 @@ function islandsOf(data, state) {
 /* When two of an island are half a turn apart; NaN where none are. */
 function outOfStep(islands, result) {
   const angles = islands.map((names) => names.map((name) => column(result, name + '_delta')));
-  for (let i = 0; i < result.rows.length / result.columns.length; ++i) for (const some of angles) {
-    const now = some.map((x) => x[i]);
+  for (let i = 0; i < result.rows.length / result.columns.length; ++i) for (const group of angles) {
+    const now = group.map((x) => x[i]);
     if (Math.max(...now) - Math.min(...now) >= Math.PI) return i * result.h;
   }
   return NaN;
@@ -88,9 +88,9 @@ function decayOf({ speeds, controls, limit, h, stop, events, marks }) {
     const rows = signals.map(spans), scale = Math.max(...rows.map((row) => row[0]));
     return worstOf(rows.map((row) => [scale, row[1], row[2]]));
   };
-  const means = speeds.map((some) => some[0].map((_, i) => some.reduce((sum, x) => sum + x[i], 0) / some.length));
-  const rows = [family(speeds.flatMap((some, k) => some.map((x) => (some.length > 1 ? x.map((y, i) => y - means[k][i]) : x))))];
-  const common = speeds.flatMap((some, k) => (some.length > 1
+  const means = speeds.map((group) => group[0].map((_, i) => group.reduce((sum, x) => sum + x[i], 0) / group.length));
+  const rows = [family(speeds.flatMap((group, k) => group.map((x) => (group.length > 1 ? x.map((y, i) => y - means[k][i]) : x))))];
+  const common = speeds.flatMap((group, k) => (group.length > 1
     ? [[Math.max(rows[0][0], span(means[k], ...windows[0])), bend(means[k], 1), bend(means[k], 0)]] : []));
   if (common.length) {
     const most = common.reduce((a, b) => (b[2] > a[2] ? b : a));
@@ -112,19 +112,19 @@ function marksOf({ outages_s: outages = [], on_loss: rule, hold_s: hold, signal_
  * limited: how long a control is at its limit, s. */
 function judge(data, state, result) {
   const swing = swingOf(data, result), { h } = result, islands = islandsOf(data, state), lost = outOfStep(islands, result);
-  const made = controllerOf(data, state), controls = made ? made.outputs.map((name) => column(result, name)) : [], limit = value(data, state, 'l');
+  const controller = controllerOf(data, state), controls = controller ? controller.outputs.map((name) => column(result, name)) : [], limit = value(data, state, 'l');
   const limited = Math.max(0, ...controls.map((u) => h * u.filter((y) => Math.abs(y) >= limit * (1 - 1e-9)).length));
   if (Number.isFinite(lost)) return { kind: VERDICTS[4], t: lost, swing, limited };
   if (result.why) return { kind: 'collapse', t: (swing.length - 1) * h, swing, limited };
-  const speeds = islands.map((names) => names.map((name) => column(result, name + '_dw')).filter(Boolean)).filter((some) => some.length);
+  const speeds = islands.map((names) => names.map((name) => column(result, name + '_dw')).filter(Boolean)).filter((group) => group.length);
   const events = eventTables(data, state).filter((e) => !/^frequency/.test(e.kind))
     .flatMap((e) => [e.start_s, e.start_s + (e.rise_s || 0), e.end_s]).filter(Number.isFinite);
   const marks = channelsOf(data, state).flatMap((c) => marksOf(channelTable(data, state, c)));
-  const found = decayOf({ speeds, controls, limit, h, stop: data.stop, events, marks: [...events, ...marks] });
+  const decay = decayOf({ speeds, controls, limit, h, stop: data.stop, events, marks: [...events, ...marks] });
   const end = Math.max(0, ...events.filter((t) => t < data.stop)), small = 0.02 * Math.max(...swing.map(Math.abs));
   let last = swing.length - 1;
   while (last * h > end && Math.abs(swing[last]) <= small) --last;
-  return { ...found, t: last < swing.length - 1 ? Math.max(last * h - end, 0) : null, swing, limited };
+  return { ...decay, t: last < swing.length - 1 ? Math.max(last * h - end, 0) : null, swing, limited };
 }
 
 /* Least damped swing mode of the roots in sight. */

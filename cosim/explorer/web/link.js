@@ -22,9 +22,9 @@ function fromLink(data, hash, keys) {
     if (!keys.includes(key)) return refuse(`has a setting ${JSON.stringify(key)} that this page lacks`);
     const allowed = allowedOf(data, key);
     if (allowed.list) {
-      const found = allowed.list.find((x) => String(x) === text);
-      if (found === undefined) return refuse(`has ${key} = ${JSON.stringify(text)}, allowed: ${allowed.list.slice(0, 12).join(', ')}`);
-      state[key] = found;
+      const match = allowed.list.find((x) => String(x) === text);
+      if (match === undefined) return refuse(`has ${key} = ${JSON.stringify(text)}, allowed: ${allowed.list.slice(0, 12).join(', ')}`);
+      state[key] = match;
     } else {
       const x = text.trim() === '' ? NaN : Number(text);
       if (!(x >= allowed.range[0] && x <= allowed.range[1]) || (allowed.whole && !Number.isInteger(x)))

@@ -43,7 +43,7 @@ class Explorer {
     this.state = {};
     this.runs = 0;
     this.flying = 0;
-    this.asked = null;
+    this.request = null;
     this.baseKey = null;
     this.chosen = -1;
     this.paths = [];
@@ -191,15 +191,15 @@ class Explorer {
   /* ---- worker ---- */
 
   ask(wish) {
-    this.asked = wish;
+    this.request = wish;
     this.send();
   }
 
   /* Two runs in flight: one waits in the worker, so that it never waits for drawing. */
   send() {
-    if (!this.asked || this.flying >= 2) return;
-    const { coarse, alone } = this.asked, state = { ...this.state };
-    this.asked = null;
+    if (!this.request || this.flying >= 2) return;
+    const { coarse, alone } = this.request, state = { ...this.state };
+    this.request = null;
     const baseKey = JSON.stringify([eventTables(this.data, state), value(this.data, state, 'cl'), value(this.data, state, 'op'), coarse]);
     const base = !alone && controllerOf(this.data, state) !== null && baseKey !== this.baseKey;
     this.flying += 1;
@@ -294,7 +294,7 @@ class Explorer {
 
   drawCurves() {
     const { data, result, plots } = this, state = this.resultState, { h } = result, { stop } = data;
-    const made = controllerOf(data, state), base = made && this.base && this.base.h === h ? this.base : null, shared = { h, stop };
+    const controller = controllerOf(data, state), base = controller && this.base && this.base.h === h ? this.base : null, shared = { h, stop };
     const withBase = (series, of) => (base ? [{ y: of(base), colour: 'reference', width: 1.1 }, ...series] : series);
     const swing = this.judged.swing;
     this.curves = { swing };
@@ -305,21 +305,21 @@ class Explorer {
         return r.power;
       };
       this.curves.tie = power(result);
-      plots.tie.draw({ ...shared, series: withBase([{ y: this.curves.tie, colour: 'area2' }], power), axis: made === null });
+      plots.tie.draw({ ...shared, series: withBase([{ y: this.curves.tie, colour: 'area2' }], power), axis: controller === null });
     }
-    if (made) this.drawControl(made, state, shared);
+    if (controller) this.drawControl(controller, state, shared);
     this.describe();
     this.glance();
     this.drawLedger();
   }
 
-  drawControl(made, state, shared) {
+  drawControl(controller, state, shared) {
     const { data, result, plots } = this, limit = value(data, state, 'l'), channels = channelsOf(data, state);
-    const signals = made.outputs.map((u) => column(result, u));
+    const signals = controller.outputs.map((u) => column(result, u));
     let most = 0;
     for (const u of signals) for (const x of u) most = Math.max(most, Math.abs(x));
     this.curves.control = signals[0];
-    plots.control.rename(`Control signal at ${made.outputs.map((u) => u.replace(/_vs$/, '')).join(', ')}, pu`);
+    plots.control.rename(`Control signal at ${controller.outputs.map((u) => u.replace(/_vs$/, '')).join(', ')}, pu`);
     put(plots.control.aside, most < 0.6 * limit ? `limit ± ${Number(limit.toFixed(4))} is far outside` : '');
     plots.control.draw({ ...shared, series: signals.map((y, k) => ({ y, colour: k ? 'ink' : 'controller', dash: k ? [5, 3] : [] })),
       limits: [limit, -limit], fit: most < 0.6 * limit ? [] : [limit, -limit] });
@@ -482,8 +482,8 @@ class Explorer {
       this.angles = data.machines.map((m) => column(result, m.name + '_delta'));
       let most = 0;
       for (const x of this.angles) for (const y of x) most = Math.max(most, Math.abs(y - x[0]));
-      const wanted = 1 / Math.max(most, 1e-6);
-      this.magnified = [50, 20, 10, 5, 2, 1].find((n) => n <= wanted) || 1;
+      const largest = 1 / Math.max(most, 1e-6);
+      this.magnified = [50, 20, 10, 5, 2, 1].find((n) => n <= largest) || 1;
       put($('gridnote'), this.magnified > 1 ? `· swing × ${this.magnified}` : '');
       this.diagram.say(`The grid: ${data.machines.length} machines, ${data.buses.length} buses; largest swing of an angle ${digits(most * 180 / Math.PI, 1)} degrees.`);
     }

@@ -17,8 +17,8 @@ function value(data, state, key) {
   if (part === 'wrong') return kindsOf(data, key)[0];
   if (part !== undefined) return CHANNEL_START[part];
   if (key === 'l') {
-    const made = controllerOf(data, state);
-    return made ? made.limit : 0;
+    const controller = controllerOf(data, state);
+    return controller ? controller.limit : 0;
   }
   if (key === 'at') return 1;
   if (key === 'end') return value(data, state, 'at') + 0.2;
@@ -40,8 +40,8 @@ function controllerOf(data, state) {
 
 /* Channels that the chosen controller listens to. */
 function channelsOf(data, state) {
-  const made = controllerOf(data, state);
-  return made ? data.channels.filter((c) => made.inputs.includes(c.signal)) : [];
+  const controller = controllerOf(data, state);
+  return controller ? data.channels.filter((c) => controller.inputs.includes(c.signal)) : [];
 }
 
 /* The table of one channel, as a scenario has it. */
@@ -49,9 +49,9 @@ function channelTable(data, state, channel) {
   const get = (part) => value(data, state, channel.name + '.' + part);
   const start = (part) => value(data, {}, channel.name + '.' + part);
   const table = { ...channel.table, signal: channel.signal };
-  const set = (key, given, none) => {
-    if (given === none) delete table[key];
-    else table[key] = given;
+  const set = (key, setting, none) => {
+    if (setting === none) delete table[key];
+    else table[key] = setting;
   };
   const loss = get('loss'), burst = get('burst'), jitter = get('jitter');
   set('latency_s', get('latency') / 1000, 0);
@@ -138,12 +138,12 @@ function eventParameters(data, state, out) {
   const loads = data.points[value(data, state, 'op')].loads;
   eventTables(data, state).forEach((e, k) => {
     const name = e.machine || e.load || e.branch || e.bus;
-    const found = data.events[place[e.kind]].find((p) => p.name === name);
+    const entry = data.events[place[e.kind]].find((p) => p.name === name);
     const size = e.kind === 'load_step' ? [e.size_pu * loads[e.load][0], e.size_pu * loads[e.load][1]]
       : [e.size_pu || 0, 0];
     const put = (key, x) => { out['plant.event[' + (k + 1) + '].' + key] = x; };
     put('kind', data.events.codes[e.kind]);
-    put('target', found.target);
+    put('target', entry.target);
     put('start', e.start_s);
     put('end', e.end_s === undefined ? NEVER : e.end_s);
     put('size', size[0]);
@@ -156,20 +156,20 @@ function eventParameters(data, state, out) {
 
 /* Which model, and the start values of its parameters: name -> number. */
 function settingsOf(data, state) {
-  const made = controllerOf(data, state), gain = value(data, state, 'g'), ceiling = value(data, state, 'cl');
+  const controller = controllerOf(data, state), gain = value(data, state, 'g'), ceiling = value(data, state, 'cl');
   const parameters = eventParameters(data, state, {});
   for (const channel of channelsOf(data, state)) {
     channelParameters(channel.name, channelTable(data, state, channel), parameters);
     faultParameters(data, state, channel.name, parameters);
   }
-  if (made) {
+  if (controller) {
     parameters['controller.limit'] = value(data, state, 'l');
-    if (gain !== 1 && made.C) {
-      made.C.forEach((row, i) => row.forEach((x, j) => {
+    if (gain !== 1 && controller.C) {
+      controller.C.forEach((row, i) => row.forEach((x, j) => {
         parameters['controller.C[' + (i + 1) + ',' + (j + 1) + ']'] = gain * x;
       }));
-      made.D.forEach((row, i) => row.forEach((x, j) => {
-        if (x !== 0) parameters['controller.D[' + (i + 1) + ',' + (j + 1) + ']'] = gain * x * made.scale[j];
+      controller.D.forEach((row, i) => row.forEach((x, j) => {
+        if (x !== 0) parameters['controller.D[' + (i + 1) + ',' + (j + 1) + ']'] = gain * x * controller.scale[j];
       }));
     }
   }
@@ -179,7 +179,7 @@ function settingsOf(data, state) {
       parameters['plant.' + machine + '.exciter.Efd_min'] = -ceiling;
     }
   }
-  return { controller: made ? made.key : 'none', point: value(data, state, 'op'), parameters };
+  return { controller: controller ? controller.key : 'none', point: value(data, state, 'op'), parameters };
 }
 
 const WHOLE = new Set(['bus', 'seed']);
@@ -201,10 +201,10 @@ function tomlTable(table) {
 
 /* The scenario that `interarea run` repeats: everything that the page sets. */
 function tomlOf(data, state, title) {
-  const made = controllerOf(data, state), gain = value(data, state, 'g'), ceiling = value(data, state, 'cl');
-  const head = { title, case: data.case.reference, controller: made ? made.key : 'none' };
-  if (made && gain !== 1) head.controller_gain = gain;
-  if (made && value(data, state, 'l') !== made.limit) head.controller_limit_pu = value(data, state, 'l');
+  const controller = controllerOf(data, state), gain = value(data, state, 'g'), ceiling = value(data, state, 'cl');
+  const head = { title, case: data.case.reference, controller: controller ? controller.key : 'none' };
+  if (controller && gain !== 1) head.controller_gain = gain;
+  if (controller && value(data, state, 'l') !== controller.limit) head.controller_limit_pu = value(data, state, 'l');
   head.stop_s = data.stop;
   head.step_s = data.step;
   let text = tomlTable(head);

@@ -34,8 +34,8 @@ function verdictWords(data, state, { kind, t, spans, window, atLimit }, least) {
 /* How the grid does without the controller, where that is worth a word. */
 function aloneWords(data, state, verdict, base) {
   if (!base || !controllerOf(data, state)) return '';
-  const [here, alone] = [verdict, base.judged].map(({ kind }) => kind === VERDICTS[4] || kind === 'collapse');
-  const words = alone ? (here ? 'it does so too' : 'the machines lose synchronism') : here ? 'the grid stays in step' : '';
+  const [withControl, without] = [verdict, base.judged].map(({ kind }) => kind === VERDICTS[4] || kind === 'collapse');
+  const words = without ? (withControl ? 'it does so too' : 'the machines lose synchronism') : withControl ? 'the grid stays in step' : '';
   return words && 'without the controller ' + words;
 }
 

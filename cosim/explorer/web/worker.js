@@ -11,10 +11,10 @@ function undelta(reference, changes) {
   const view = new DataView(changes.buffer, changes.byteOffset, changes.byteLength), pieces = [];
   let size = 0;
   for (let at = 0; at < changes.length;) {
-    const start = view.getUint32(at, true), length = view.getUint32(at + 4, true), given = view.getUint32(at + 8, true);
-    pieces.push(reference.subarray(start, start + length), changes.subarray(at + 12, at + 12 + given));
-    size += length + given;
-    at += 12 + given;
+    const start = view.getUint32(at, true), length = view.getUint32(at + 4, true), changed = view.getUint32(at + 8, true);
+    pieces.push(reference.subarray(start, start + length), changes.subarray(at + 12, at + 12 + changed));
+    size += length + changed;
+    at += 12 + changed;
   }
   const out = new Uint8Array(size);
   let at = 0;
@@ -44,11 +44,11 @@ class Container {
     return this.records[k];
   }
 
-  /* A piece of the instance's memory that is kept, at least so large. */
+  /* A piece of the instance's memory that stays reserved, at least so large. */
   room(name, bytes) {
-    const kept = this.rooms[name];
-    if (kept && kept.size >= bytes) return kept.at;
-    if (kept) this.exports.release(kept.at);
+    const room = this.rooms[name];
+    if (room && room.size >= bytes) return room.at;
+    if (room) this.exports.release(room.at);
     const size = Math.ceil(bytes * 1.25) + 64;
     this.rooms[name] = { at: this.exports.allocate(size), size };
     return this.rooms[name].at;
@@ -132,15 +132,15 @@ async function simulate(container, request, goOn) {
   const rows = new Float64Array((count + 1) * width), columns = [...reals, ...integers].map((p) => p[0]);
   let done = 0, why = '', lost = NaN;
   while (done <= count && !(done * h > lost + ASTRAY)) {
-    const wanted = Math.min(piece, count + 1 - done);
-    const some = container.rows(done, done + wanted - 1, h, reals.map((p) => p[1]), integers.map((p) => p[1]));
-    rows.set(some, done * width);
-    done += some.length / width;
-    if (some.length < wanted * width) {
+    const number = Math.min(piece, count + 1 - done);
+    const part = container.rows(done, done + number - 1, h, reals.map((p) => p[1]), integers.map((p) => p[1]));
+    rows.set(part, done * width);
+    done += part.length / width;
+    if (part.length < number * width) {
       why = container.text(container.exports.message(container.session));
       break;
     }
-    if (request.coarse && !Number.isFinite(lost)) lost = (done - wanted) * h + outOfStep(request.islands, { columns, rows: some, h });
+    if (request.coarse && !Number.isFinite(lost)) lost = (done - number) * h + outOfStep(request.islands, { columns, rows: part, h });
     else if (!request.coarse && performance.now() - began > 60 && !(await goOn())) return null;
   }
   return { columns, rows: rows.subarray(0, done * width).slice(), h, why, ms: performance.now() - began };
@@ -169,8 +169,8 @@ function serve(scope) {
     };
     const first = !begun, roots = () => {
       if (!request.roots) return;
-      const found = eigenvalues.of(request.state);
-      scope.postMessage({ eigenvalues: request.run, ...found, least: leastDamped(found.roots) });
+      const modes = eigenvalues.of(request.state);
+      scope.postMessage({ eigenvalues: request.run, ...modes, least: leastDamped(modes.roots) });
     };
     begun = true;
     try {

@@ -31,7 +31,7 @@ EXPORT int32_t kernel_layout(int32_t *sizes, int32_t room);
 enum { MAX_SWEEPS = 50 };   /* with slopes as unknowns, and as many with straight lines */
 static const double LEAST_SCALE = 1e-4; /* of the nominal value: algebraic_loop.py */
 
-enum { UNDER_WAY = -1, MOST_RUNS = 64 };
+enum { RUNNING = -1, MOST_RUNS = 64 };
 
 typedef struct {
     int64_t start, end;
@@ -312,7 +312,7 @@ static int next_member(Run *r)
 /* Goes on until the run ends or waits. */
 static void go_on(Run *r)
 {
-    while (r->code == UNDER_WAY && r->at != WAITING) {
+    while (r->code == RUNNING && r->at != WAITING) {
         const int code = r->at == AT_POINT ? begin_step(r)
                          : r->at == AT_GROUP ? begin_group(r)
                          : r->at == AT_NODE ? next_member(r)
@@ -335,7 +335,7 @@ static void step_lanes(Run *runs, int first, int n)
 
     for (int i = first; i < n; ++i) {
         Run *r = runs + i;
-        if (r->code != UNDER_WAY || r->at != WAITING || r->node->work != work) continue;
+        if (r->code != RUNNING || r->at != WAITING || r->node->work != work) continue;
         component[count] = r->node->component;
         time[count] = r->time;
         length[count] = r->time_length;
@@ -365,7 +365,7 @@ static Run new_run(Kernel *k, int64_t until, Watch *watch, int alone)
     r.k = k;
     r.watch = watch;
     r.until = until;
-    r.code = UNDER_WAY;
+    r.code = RUNNING;
     r.alone = alone;
     r.at = AT_POINT;
     return r;
@@ -404,7 +404,7 @@ int32_t kernel_run_lockstep(Kernel *const k[], const int64_t until[], int32_t n,
         waiting = 0;
         for (int i = 0; i < n; ++i) go_on(runs + i);
         for (int i = 0; i < n; ++i)
-            if (runs[i].code == UNDER_WAY && runs[i].at == WAITING) {
+            if (runs[i].code == RUNNING && runs[i].at == WAITING) {
                 step_lanes(runs, i, n);
                 waiting = 1;
             }
@@ -419,10 +419,10 @@ int32_t kernel_run_lockstep(Kernel *const k[], const int64_t until[], int32_t n,
 /* Sizes of the structures, for whoever mirrors them; returns how many there are. */
 int32_t kernel_layout(int32_t *sizes, int32_t room)
 {
-    const size_t found[] = {sizeof(KernelSignal), sizeof(KernelFeed), sizeof(KernelNode), sizeof(KernelGroup),
+    const size_t actual[] = {sizeof(KernelSignal), sizeof(KernelFeed), sizeof(KernelNode), sizeof(KernelGroup),
                             sizeof(Kernel)};
-    const int32_t count = (int32_t)(sizeof found / sizeof found[0]);
+    const int32_t count = (int32_t)(sizeof actual / sizeof actual[0]);
 
-    for (int32_t i = 0; i < count && i < room; ++i) sizes[i] = (int32_t)found[i];
+    for (int32_t i = 0; i < count && i < room; ++i) sizes[i] = (int32_t)actual[i];
     return count;
 }

@@ -19,11 +19,11 @@ typedef struct {
     size_t place;           /* in the caller's arrays                              */
     int failed;             /* repeats its step alone                              */
     int events;             /* how many it has handled                             */
-    int kept;               /* whether c->undo holds the step's start               */
-    double told[MOST_EVENTS];   /* when: what a relay has seen since decides which come next */
+    int undo_begun;               /* whether c->undo holds the step's start               */
+    double event_times[MOST_EVENTS];   /* when: what a relay has seen since decides which come next */
     double point, step;     /* as the caller gave them                             */
     double switches_cost;   /* of the run as the step begins                       */
-    Stretch way;
+    Stretch stretch;
 } Lane;
 
 typedef struct {
@@ -161,9 +161,9 @@ static double *warm_of(const Group *g, const Instance *c) { return c->block.memo
 /* What the lane's ports have come to into its instance, whose own code goes on there, and back. */
 static void warm_out(Group *g, Lane *lane, const double *warm, size_t k)
 {
-    if (!lane->kept) instance_undo_begin(lane->c);
+    if (!lane->undo_begun) instance_undo_begin(lane->c);
     if (g->group.n_warm > 0) instance_undo_event(lane->c);   /* alone an evaluation may change the rest as well */
-    lane->kept = 1;
+    lane->undo_begun = 1;
     get(warm, warm_of(g, lane->c), g->group.n_warm, g->lanes, k);
 }
 
@@ -191,22 +191,22 @@ static void compare_memory(Group *g, size_t n)
 static int meet_event(Group *g, Lane *lane, size_t k)
 {
     Instance *c = lane->c;
-    Stretch *way = &lane->way;
+    Stretch *stretch = &lane->stretch;
     BlockMessage message = {{0}};
 
     if (lane->events == MOST_EVENTS) return 0;
-    lane->told[lane->events] = way->event;
-    if (way->end > way->time) way->time = way->end;
+    lane->event_times[lane->events] = stretch->event;
+    if (stretch->end > stretch->time) stretch->time = stretch->end;
     ++lane->events;
     warm_out(g, lane, g->group.warm, k);
     instance_undo_event(c);
     get(g->group.x, c->block.x, g->layout.n_x, g->lanes, k);
-    c->run->time = way->time;
-    solver_inputs(c, way->to, c->block.u);
+    c->run->time = stretch->time;
+    solver_inputs(c, stretch->to, c->block.u);
     ++c->memory_written;
     g->compared = 0;   /* an event that fails leaves a memory that is not loaded */
-    if (block_event(&c->block, way->event, c->block.x, &message) != BLOCK_OK || message.text[0] != 0) return 0;
-    c->run->last_event = way->last_event = way->event;
+    if (block_event(&c->block, stretch->event, c->block.x, &message) != BLOCK_OK || message.text[0] != 0) return 0;
+    c->run->last_event = stretch->last_event = stretch->event;
     put(g->group.x, c->block.x, g->layout.n_x, g->lanes, k);
     load_memory(g, c, k);
     warm_in(g, lane, k);
@@ -216,13 +216,13 @@ static int meet_event(Group *g, Lane *lane, size_t k)
 /* The next stretch in which there is something to do, or the end: solver_advance. */
 static void next_stretch(Group *g, Lane *lane, size_t k)
 {
-    Stretch *way = &lane->way;
+    Stretch *stretch = &lane->stretch;
 
     do {
-        const int met = !(way->event < INFINITY) || meet_event(g, lane, k);
-        lane->failed = !met || !stretch_next(way, &lane->c->block);
-    } while (!lane->failed && way->count == 0 && way->event < INFINITY);
-    if (lane->failed) way->count = way->done = 0;
+        const int met = !(stretch->event < INFINITY) || meet_event(g, lane, k);
+        lane->failed = !met || !stretch_next(stretch, &lane->c->block);
+    } while (!lane->failed && stretch->count == 0 && stretch->event < INFINITY);
+    if (lane->failed) stretch->count = stretch->done = 0;
 }
 
 static void begin_lane(Group *g, Lane *lane, size_t k)
@@ -235,8 +235,8 @@ static void begin_lane(Group *g, Lane *lane, size_t k)
     load_memory(g, c, k);
     warm_in(g, lane, k);
     g->begin[k] = c->run->time;
-    lane->kept = 0;
-    lane->way = stretch_begin(c->run->time, lane->point + lane->step, step_length(c, lane->point, lane->step),
+    lane->undo_begun = 0;
+    lane->stretch = stretch_begin(c->run->time, lane->point + lane->step, step_length(c, lane->point, lane->step),
                               *c->internal_step, c->run->last_event);
     lane->events = 0;
     lane->switches_cost = c->run->switches_cost;
@@ -260,7 +260,7 @@ static void step_alone(Group *g, Lane *lane, size_t k)
     BlockMessage message = {{0}};
     const size_t n = g->layout.n_x;
     double *x = c->work + (SOLVER_ARRAYS - 1) * n;
-    const int known = finite_lane(g->group.k + LAST_STAGE * n * g->lanes, n, g->lanes, k) && solver_affords(c, &lane->way);
+    const int known = finite_lane(g->group.k + LAST_STAGE * n * g->lanes, n, g->lanes, k) && solver_affords(c, &lane->stretch);
     BlockStatus status;
 
     get(g->group.x, x, n, g->lanes, k);
@@ -268,15 +268,15 @@ static void step_alone(Group *g, Lane *lane, size_t k)
     if (known) {
         get(g->group.k, c->work, n, g->lanes, k);
         get(g->group.notes, c->block.notes, g->n_notes, g->lanes, k);
-        status = solver_switched(c, &lane->way, x, &message);
+        status = solver_switched(c, &lane->stretch, x, &message);
     } else {
-        status = solver_step(c, &lane->way, x, &message);
+        status = solver_step(c, &lane->stretch, x, &message);
     }
     lane->failed = status != BLOCK_OK || message.text[0] != 0;
     put(g->group.x, x, n, g->lanes, k);
     load_memory(g, c, k);
     warm_in(g, lane, k);
-    if (lane->failed) lane->way.count = lane->way.done = 0;
+    if (lane->failed) lane->stretch.count = lane->stretch.done = 0;
 }
 
 /* Substeps of all lanes until none has any left; a lane without rests (h = 0). */
@@ -287,9 +287,9 @@ static void advance(Group *g, size_t n)
     for (;;) {
         int busy = 0;
         for (size_t k = 0; k < n; ++k) {
-            const Stretch *way = &g->lane[k].way;
-            const int runs = way->done < way->count;
-            const double h = runs ? stretch_h(way) : 0.0, elapsed = runs ? stretch_elapsed(way) : 0.0;
+            const Stretch *stretch = &g->lane[k].stretch;
+            const int runs = stretch->done < stretch->count;
+            const double h = runs ? stretch_h(stretch) : 0.0, elapsed = runs ? stretch_elapsed(stretch) : 0.0;
             g->group.h[k] = h;
             g->elapsed[k] = elapsed;
             g->elapsed[lanes + k] = elapsed + h / 2.0;
@@ -301,11 +301,11 @@ static void advance(Group *g, size_t n)
         memcpy(g->warm_before, g->group.warm, lanes * g->group.n_warm * sizeof(double));
         block_group_step(&g->group, lanes);
         for (size_t k = 0; k < n; ++k) {
-            Stretch *way = &g->lane[k].way;
-            if (way->done == way->count) continue;
+            Stretch *stretch = &g->lane[k].stretch;
+            if (stretch->done == stretch->count) continue;
             if (g->group.switched[k] > 0.0) step_alone(g, &g->lane[k], k);
-            if (g->lane[k].failed || ++way->done < way->count) continue;
-            if (way->event < INFINITY) next_stretch(g, &g->lane[k], k);
+            if (g->lane[k].failed || ++stretch->done < stretch->count) continue;
+            if (stretch->event < INFINITY) next_stretch(g, &g->lane[k], k);
         }
     }
 }
@@ -315,7 +315,7 @@ static void accept(Group *g, const Lane *lane, size_t k)
 {
     Instance *c = lane->c;
 
-    for (int i = 0; i < lane->events; ++i) instance_log_event(c, "event at time %.9g s", lane->told[i]);
+    for (int i = 0; i < lane->events; ++i) instance_log_event(c, "event at time %.9g s", lane->event_times[i]);
     get(g->group.x, c->block.x, g->layout.n_x, g->lanes, k);
     get(g->group.y, c->block.y, g->layout.n_y, g->lanes, k);
     get(g->group.warm, warm_of(g, c), g->group.n_warm, g->lanes, k);
@@ -330,7 +330,7 @@ static fmi2Status repeat_alone(Lane *lane)
 {
     Instance *c = lane->c;
 
-    if (lane->kept) instance_undo(c);
+    if (lane->undo_begun) instance_undo(c);
     c->run->switches_cost = lane->switches_cost;
     return fmi2DoStep(c, lane->point, lane->step, fmi2True);
 }

@@ -208,7 +208,7 @@ static inline double *limited_room(LimitedSearch *s, double into, double *overru
 
 /* Takes in that a limiter is `value` beyond its range at `into`; whether that is as just after its switch as `close`
  * says. */
-static inline int limited_found(LimitedSearch *s, double into, double value, double *each, size_t decisions,
+static inline int limited_record(LimitedSearch *s, double into, double value, double *each, size_t decisions,
                                 double close)
 {
     const int beyond = value > 0.0, last = s->count;
@@ -256,7 +256,7 @@ static inline BlockStatus limited_land(LimitedStep *s, double h, double *landed)
         const BlockStatus status = limited_overrun(s, into, count < COARSE, x, k, each, &value);
         if (status != BLOCK_OK) return status;
         if (count == 0) limited_bend(s, h, k);
-        if (limited_found(&search, into, value, each, decisions, close) || count == MOST) break;
+        if (limited_record(&search, into, value, each, decisions, close) || count == MOST) break;
     }
     *landed = into;
     return BLOCK_OK;

@@ -238,10 +238,10 @@ static double correct(ClosedLoop *l, double h)
         const int32_t from = l->wire[l->first_u[k]];
 
         if (l->kind[k] != KIND_CHANNEL || from < 0) continue;
-        const double *told = l->poly + 4 * from;
+        const double *passed = l->poly + 4 * from;
         const double scale = fmax(fabs(y[from]), LEAST_SCALE);
-        worst = fmax(worst, fabs(value_at(told, h) - y[from]) / scale);
-        worst = fmax(worst, h * fabs(slope_at(told, h) - l->slope[from]) / scale / 8.0);
+        worst = fmax(worst, fabs(value_at(passed, h) - y[from]) / scale);
+        worst = fmax(worst, h * fabs(slope_at(passed, h) - l->slope[from]) / scale / 8.0);
     }
     for (size_t k = 0; k < l->count; ++k) {
         const int32_t i = l->wire[l->first_u[k]];

@@ -125,9 +125,9 @@ static int outer_fits(const ClosedLoop *l, const BlockLayout *outer)
 }
 
 /* Whether a list of `count` outputs is there, each one of `outputs` or -1 for none. */
-static int wires_fit(const int32_t *wire, size_t found, size_t count, size_t outputs)
+static int wires_fit(const int32_t *wire, size_t length, size_t count, size_t outputs)
 {
-    if (found != count || (wire == NULL && count > 0)) return 0;
+    if (length != count || (wire == NULL && count > 0)) return 0;
     for (size_t i = 0; i < count; ++i)
         if (wire[i] < -1 || wire[i] >= (int32_t)outputs) return 0;
     return 1;

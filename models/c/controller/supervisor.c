@@ -111,7 +111,7 @@ static double *signal_memory(const Block *b, size_t j)
     return b->memory + M_SIGNALS + S_COUNT * j;
 }
 
-static int32_t wanted(const Block *b, const Bank *bank)
+static int32_t required_member(const Block *b, const Bank *bank)
 {
     size_t set = 0;
 
@@ -158,7 +158,7 @@ BlockStatus block_start(Block *b, double t, BlockMessage *message)
         s[S_SEEN] = s[S_TRUSTED] = b->iu[j] != 0 ? 1.0 : 0.0;
         s[S_CHANGED_AT] = t;
     }
-    b->memory[M_ACTIVE] = (double)wanted(b, &bank);
+    b->memory[M_ACTIVE] = (double)required_member(b, &bank);
     b->memory[M_SWITCHED_AT] = t;
     b->memory[M_SWITCHES] = 0.0;
     settle(b, &bank, b->x);
@@ -182,7 +182,7 @@ double block_next_event(const Block *b, double t)
         if ((b->iu[j] != 0) != (s[S_SEEN] > 0.0)) return nextafter(t, INFINITY);
         if (s[S_SEEN] != s[S_TRUSTED]) next = fmin(next, due(b, s));
     }
-    if ((double)wanted(b, &bank) != b->memory[M_ACTIVE])
+    if ((double)required_member(b, &bank) != b->memory[M_ACTIVE])
         next = fmin(next, b->memory[M_SWITCHED_AT] + b->p[P_DWELL]);
     return next > t ? next : nextafter(t, INFINITY);
 }
@@ -203,7 +203,7 @@ BlockStatus block_event(Block *b, double t, double *x, BlockMessage *message)
         }
         if (s[S_SEEN] != s[S_TRUSTED] && t >= due(b, s) - SLACK) s[S_TRUSTED] = s[S_SEEN];
     }
-    choice = wanted(b, &bank);
+    choice = required_member(b, &bank);
     if ((double)choice != b->memory[M_ACTIVE]
         && (b->memory[M_SWITCHES] == 0.0 || t >= b->memory[M_SWITCHED_AT] + b->p[P_DWELL] - SLACK)) {
         b->memory[M_ACTIVE] = (double)choice;

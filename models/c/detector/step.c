@@ -204,12 +204,12 @@ static int moved(const Block *b, const double *m, size_t back, size_t count)
 static int replayed(const Block *b, size_t i, double c)
 {
     const double *m = memory_of(b, i), *ring = m + DM_FRAME + 1;
-    const size_t count = (size_t)b->ip[IP_REPEATS], back = newer(m, c), kept = frames(m);
+    const size_t count = (size_t)b->ip[IP_REPEATS], back = newer(m, c), stored = frames(m);
 
     if (!moved(b, m, back, count)) return 0;
     const size_t first = (size_t)m[DM_FRAMES] - 1 - back;
     const double value = ring[2 * (first % DETECTOR_FRAMES)];
-    for (size_t lag = 1; back + lag + count <= kept; ++lag) {
+    for (size_t lag = 1; back + lag + count <= stored; ++lag) {
         if (ring[2 * ((first - lag) % DETECTOR_FRAMES)] != value) continue;   /* most lags end here */
         if (!comes_again(m, back, count, lag, 0.0)) continue;
         for (size_t j = 0; j < count_of(b); ++j) {

@@ -102,8 +102,8 @@ static void look(const Block *b, const double *p, double *s, double re, double i
     if (!(since < INFINITY)) return;
     const double turned = angle - before, whole = floor(turned / TURN + 0.5);
     const double seen = 1.0 + (turned - TURN * whole) / (omega * since);
-    const double kept = p[SLOT_FILTER] > 0.0 ? real_exp(-since / p[SLOT_FILTER]) : 0.0;
-    s[RELAY_FREQUENCY] = seen + kept * (s[RELAY_FREQUENCY] - seen);
+    const double decay = p[SLOT_FILTER] > 0.0 ? real_exp(-since / p[SLOT_FILTER]) : 0.0;
+    s[RELAY_FREQUENCY] = seen + decay * (s[RELAY_FREQUENCY] - seen);
     const double beyond = threshold < 1.0 ? threshold - s[RELAY_FREQUENCY] : s[RELAY_FREQUENCY] - threshold;
     if (!(beyond > 0.0) || t < p[SLOT_START]) {
         s[RELAY_SINCE] = INFINITY;

@@ -169,8 +169,8 @@ static void solve(const double *a, size_t n, const double *order, size_t source,
                   double re, double im, double *v)
 {
     for (size_t i = 0; i < n; ++i) {
-        const int here = (size_t)(ptrdiff_t)order[i] == source;
-        double vr = here ? re : 0.0, vi = here ? im : 0.0;
+        const int is_source = (size_t)(ptrdiff_t)order[i] == source;
+        double vr = is_source ? re : 0.0, vi = is_source ? im : 0.0;
         for (size_t j = 0; j < i; ++j) {
             const double ar = a[2 * (i * n + j)], ai = a[2 * (i * n + j) + 1];
             vr -= ar * v[2 * j] - ai * v[2 * j + 1];

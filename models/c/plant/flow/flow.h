@@ -83,7 +83,7 @@ static size_t solve_ports(real *memory, const Plan *plan, const num *x, const nu
 #ifdef PLANT_LANES
     const PortCare care = w->notes.stage ? PORT_STEP : PORT_ALONE;
     num *b = work, *more = b + 2 * plan->n_port;
-    port_given(memory, plan, 0, w->e_re, w->e_im, linear, b, more);
+    port_linear(memory, plan, 0, w->e_re, w->e_im, linear, b, more);
     const flag failed = port_iterate(memory, plan, 0, care, w->notes.stage, w->own->warm, w->own->keep, b, x, w->sine,
                                      w->cosine, w->e_re, w->e_im, w->port, more);
     w->e_re[plan->n_machine] = num_pick(failed, NUM(NAN), w->e_re[plan->n_machine]);
@@ -282,10 +282,10 @@ static void run_group(size_t lanes, size_t device, const DeviceGroup *g, const D
 int devices_fit(size_t lanes, size_t device, const DeviceGroup *g, const DeviceSignals *in, const num *x, num *dx)
 {
     double switched = 0.0;
-    DeviceGroup made = *g;
+    DeviceGroup trial = *g;
 
-    made.notes.switched = &switched;
-    run_group(lanes, device, &made, in, x, dx);
+    trial.notes.switched = &switched;
+    run_group(lanes, device, &trial, in, x, dx);
     return !(switched > 0.0);
 }
 #endif

@@ -107,7 +107,7 @@ static void see_voltages(const real *memory, const Plan *plan, const num *x, Wor
         const size_t at = plan->n_machine + index_at(row, P_SEES) - 1, coupling = index_at(row, P_COUPLING);
         const num v = num_sqrt(w->port.v_re[p] * w->port.v_re[p] + w->port.v_im[p] * w->port.v_im[p]);
         if (coupling == COUPLING_RECTIFIER || coupling == COUPLING_INVERTER) {
-            *(coupling == COUPLING_RECTIFIER ? &w->vt[at] : &w->pe[at]) = dc_link_voltage(v, w->port.kept + DC_KEPT * p);
+            *(coupling == COUPLING_RECTIFIER ? &w->vt[at] : &w->pe[at]) = dc_link_voltage(v, w->port.solved + DC_SOLVED * p);
             continue;
         }
         const int far = coupling == COUPLING_CONVERTER && index_at(row, P_FAR) == 1;

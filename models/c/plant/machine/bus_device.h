@@ -39,9 +39,9 @@ static inline void converter_current(const real *row, num ip, num iq, num v, num
 {
     const num zero = NUM(row[P_ZERO]), full = NUM(row[P_FULL]), high = NUM(row[P_HIGH]), least = NUM(row[P_LEAST]);
     const num part = (v - zero) * num_ratio(NUM(1.0), full - zero), less = iq - row[P_TAKEN] * (v - high);
-    const num some = num_pick(num_above(v, zero), part * ip, NUM(0.0));
+    const num reduced = num_pick(num_above(v, zero), part * ip, NUM(0.0));
 
-    *along = num_pick(num_above(full, v), some, ip);
+    *along = num_pick(num_above(full, v), reduced, ip);
 #ifndef PLANT_LANES /* there it may differ from lane to lane */
     if (row[P_SHUNT] != 0.0)
 #endif
@@ -66,7 +66,7 @@ static inline void converter_power(const real *row, const num *x, num v, num *p,
  * (dc_link.h). */
 static inline void bus_device_injection(const real *row, const num *x, num sine, num cosine, num v, num v_re, num v_im,
                                         num *i_re, num *i_im, DcKnown known, const num *held,
-                                        flag open, num *kept)
+                                        flag open, num *solved)
 {
     const size_t coupling = index_at(row, P_COUPLING);
     const flag on = num_above(NUM(row[P_ON]), NUM(0.5));
@@ -88,7 +88,7 @@ static inline void bus_device_injection(const real *row, const num *x, num sine,
             if (coupling == COUPLING_CONVERTER)
                 converter_current(row, y, row[P_SCALE] * x[index_at(row, P_STATE_Q)], v, &along, &across);
             else if (coupling == COUPLING_RECTIFIER || coupling == COUPLING_INVERTER)
-                dc_link_current(row, x, v, per, known, held, open, &along, &across, kept);
+                dc_link_current(row, x, v, per, known, held, open, &along, &across, solved);
         }
         along = num_pick(on, per * along, NUM(0.0));
         across = num_pick(on, per * across, NUM(0.0));
@@ -102,8 +102,8 @@ static inline void bus_device_current(const real *row, const num *x, num sine, n
                                       num *i_re, num *i_im)
 {
     const num v = num_sqrt(v_re * v_re + v_im * v_im);
-    num kept[DC_KEPT];
-    bus_device_injection(row, x, sine, cosine, v, v_re, v_im, i_re, i_im, DC_NOTHING, NULL, flag_all(), kept);
+    num solved[DC_SOLVED];
+    bus_device_injection(row, x, sine, cosine, v, v_re, v_im, i_re, i_im, DC_NOTHING, NULL, flag_all(), solved);
 }
 
 /* Active and reactive power into the network, system base. */

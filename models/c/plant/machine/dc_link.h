@@ -32,7 +32,7 @@ enum { DC_STEPS = 6 };   /* at most; with b up to 1 the fourth is below rounding
 
 /* What an end keeps while its network is solved. Of the rectifier the cosine within its limits, of the inverter the
  * solution: the same at another voltage, or near it. Then v and the slope of v at the ac voltage DC_AT. */
-enum { DC_ANGLE, DC_SINE, DC_COSINE, DC_AT, DC_VOLTS, DC_RATE, DC_KEPT };
+enum { DC_ANGLE, DC_SINE, DC_COSINE, DC_AT, DC_VOLTS, DC_RATE, DC_SOLVED };
 
 /* What is known already: nothing; what is held, of the solution before (layout.h); or all that is kept, at another
  * voltage. */
@@ -43,53 +43,53 @@ static inline int dc_link_is_inverter(const real *row) { return index_at(row, P_
 /* Whether d is more than the sine and the cosine of an angle may be turned by. */
 static inline flag dc_link_far(num d) { return flag_not(num_reaches(NUM(DC_NEAR * DC_NEAR), d * d)); }
 
-/* Where `open`, the angle in `kept` becomes `angle`, d from one whose sine and cosine are given. */
-static inline void dc_link_turn(num angle, num d, num sine, num cosine, flag open, num *kept)
+/* Where `open`, the angle in `solved` becomes `angle`, d from one whose sine and cosine are given. */
+static inline void dc_link_turn(num angle, num d, num sine, num cosine, flag open, num *solved)
 {
     const num q = d * d;
     const flag far = open & dc_link_far(d);
     const num s = 0.5 * sine + d * (cosine * (1.0 / 6)) - q * (sine * (1.0 / 24));
     const num c = 0.5 * cosine - d * (sine * (1.0 / 6)) - q * (cosine * (1.0 / 24));
 
-    kept[DC_ANGLE] = num_pick(open, angle, kept[DC_ANGLE]);
-    kept[DC_SINE] = num_pick(open, (sine + d * cosine) - q * s, kept[DC_SINE]);
-    kept[DC_COSINE] = num_pick(open, (cosine - d * sine) - q * c, kept[DC_COSINE]);
+    solved[DC_ANGLE] = num_pick(open, angle, solved[DC_ANGLE]);
+    solved[DC_SINE] = num_pick(open, (sine + d * cosine) - q * s, solved[DC_SINE]);
+    solved[DC_COSINE] = num_pick(open, (cosine - d * sine) - q * c, solved[DC_COSINE]);
     if (flag_any(far)) {
         num far_sine, far_cosine;
         num_sincos(angle, &far_sine, &far_cosine);
-        kept[DC_SINE] = num_pick(far, far_sine, kept[DC_SINE]);
-        kept[DC_COSINE] = num_pick(far, far_cosine, kept[DC_COSINE]);
+        solved[DC_SINE] = num_pick(far, far_sine, solved[DC_SINE]);
+        solved[DC_COSINE] = num_pick(far, far_cosine, solved[DC_COSINE]);
     }
 }
 
 /* An angle to start from, with its sine and cosine. */
-static inline void dc_link_begin(num angle, DcKnown known, const num *held, num *kept)
+static inline void dc_link_begin(num angle, DcKnown known, const num *held, num *solved)
 {
     if (known == DC_START) {
-        dc_link_turn(angle, angle - held[DC_NEARBY], held[DC_NEARBY_SINE], held[DC_NEARBY_COSINE], flag_all(), kept);
+        dc_link_turn(angle, angle - held[DC_NEARBY], held[DC_NEARBY_SINE], held[DC_NEARBY_COSINE], flag_all(), solved);
         return;
     }
-    kept[DC_ANGLE] = angle;
-    num_sincos(angle, &kept[DC_SINE], &kept[DC_COSINE]);
+    solved[DC_ANGLE] = angle;
+    num_sincos(angle, &solved[DC_SINE], &solved[DC_COSINE]);
 }
 
 /* What is kept of a solution is held where `keep` says so: sines turned again and again would drift away. */
-static inline void dc_link_hold(flag keep, const num *kept, num *held)
+static inline void dc_link_hold(flag keep, const num *solved, num *held)
 {
-    const flag far = keep & dc_link_far(kept[DC_ANGLE] - held[DC_NEARBY]);
+    const flag far = keep & dc_link_far(solved[DC_ANGLE] - held[DC_NEARBY]);
     num sine, cosine;
 
-    held[DC_LAST] = num_pick(keep, kept[DC_ANGLE], held[DC_LAST]);
+    held[DC_LAST] = num_pick(keep, solved[DC_ANGLE], held[DC_LAST]);
     if (!flag_any(far)) return;
-    num_sincos(kept[DC_ANGLE], &sine, &cosine);
-    held[DC_NEARBY] = num_pick(far, kept[DC_ANGLE], held[DC_NEARBY]);
+    num_sincos(solved[DC_ANGLE], &sine, &cosine);
+    held[DC_NEARBY] = num_pick(far, solved[DC_ANGLE], held[DC_NEARBY]);
     held[DC_NEARBY_SINE] = num_pick(far, sine, held[DC_NEARBY_SINE]);
     held[DC_NEARBY_COSINE] = num_pick(far, cosine, held[DC_NEARBY_COSINE]);
 }
 
-/* Into `kept` the extinction angle before its limits: current i, order and a_i; u not below P_LOW. Returns b. */
+/* Into `solved` the extinction angle before its limits: current i, order and a_i; u not below P_LOW. Returns b. */
 static inline num dc_link_extinction(const real *row, num i, num order, num angle, num u, DcKnown known,
-                                     const num *held, num *kept)
+                                     const num *held, num *solved)
 {
     const num low = NUM(0.0), behind = row[P_MARGIN] * order - i;
     const num m = row[P_MARGIN_GAIN] * num_pick(num_above(behind, low), behind, low);
@@ -100,12 +100,12 @@ static inline num dc_link_extinction(const real *row, num i, num order, num angl
     if (known != DC_ALL) {
         num start = angle + row[P_GAIN] * m;
         if (known == DC_START) start = num_pick(num_above(NUM(INFINITY), held[DC_LAST]), held[DC_LAST], start);
-        dc_link_begin(num_clamp(start, row[P_ANGLE_MIN], row[P_ANGLE_MAX]), known, held, kept);
+        dc_link_begin(num_clamp(start, row[P_ANGLE_MIN], row[P_ANGLE_MAX]), known, held, solved);
     }
     for (int k = 0; k < DC_STEPS; ++k) {
-        const num bent = b * kept[DC_COSINE], off = kept[DC_ANGLE] - a - bent, slope = 1.0 + b * kept[DC_SINE];
+        const num bent = b * solved[DC_COSINE], off = solved[DC_ANGLE] - a - bent, slope = 1.0 + b * solved[DC_SINE];
         const num d = num_ratio(2.0 * off * slope, off * bent - 2.0 * slope * slope);
-        dc_link_turn(kept[DC_ANGLE] + d, d, kept[DC_SINE], kept[DC_COSINE], open, kept);
+        dc_link_turn(solved[DC_ANGLE] + d, d, solved[DC_SINE], solved[DC_COSINE], open, solved);
 #ifndef PLANT_TANGENT   /* whose slopes settle a step later */
         const num size = num_pick(num_above(low, d), -d, d);
         open = open & flag_not(num_reaches(NUM(DC_SETTLED), b * size * size * size));
@@ -123,24 +123,24 @@ static inline num dc_link_floor(const real *row, num v)
 
 /* The cosine of an angle within its limits, from the states; turn: u times its slope by u. */
 static inline num dc_link_cosine(const real *row, num i, num order, num angle, num u, DcKnown known,
-                                 const num *held, num *kept, num *turn)
+                                 const num *held, num *solved, num *turn)
 {
     const real least = row[P_ANGLE_MIN], most = row[P_ANGLE_MAX];
 
     *turn = NUM(0.0);
     if (!dc_link_is_inverter(row)) {
         if (known != DC_ALL)
-            dc_link_begin(num_clamp(angle + row[P_GAIN] * (i - order), least, most), known, held, kept);
-        return kept[DC_COSINE];
+            dc_link_begin(num_clamp(angle + row[P_GAIN] * (i - order), least, most), known, held, solved);
+        return solved[DC_COSINE];
     }
-    const num b = dc_link_extinction(row, i, order, angle, u, known, held, kept), part = b * kept[DC_SINE];
-    const flag beyond = num_above(kept[DC_ANGLE], NUM(most)) | num_above(NUM(least), kept[DC_ANGLE]);
-    *turn = -num_ratio(part * kept[DC_COSINE], 1.0 + part);
-    if (!flag_any(beyond)) return kept[DC_COSINE];
+    const num b = dc_link_extinction(row, i, order, angle, u, known, held, solved), part = b * solved[DC_SINE];
+    const flag beyond = num_above(solved[DC_ANGLE], NUM(most)) | num_above(NUM(least), solved[DC_ANGLE]);
+    *turn = -num_ratio(part * solved[DC_COSINE], 1.0 + part);
+    if (!flag_any(beyond)) return solved[DC_COSINE];
     num sine, cosine;
-    num_sincos(num_clamp(kept[DC_ANGLE], least, most), &sine, &cosine);
+    num_sincos(num_clamp(solved[DC_ANGLE], least, most), &sine, &cosine);
     *turn = num_pick(beyond, NUM(0.0), *turn);
-    return num_pick(beyond, cosine, kept[DC_COSINE]);
+    return num_pick(beyond, cosine, solved[DC_COSINE]);
 }
 
 static inline num dc_link_bound(num a)
@@ -161,15 +161,15 @@ static inline num dc_link_phi(const real *row, num i, num v, num per, num cosine
 
 /* Current into the network along and across V; what it keeps changes where `open`. per: 1/u. */
 static inline void dc_link_current(const real *row, const num *x, num v, num per, DcKnown known, const num *held, flag open,
-                                   num *along, num *across, num *kept)
+                                   num *along, num *across, num *solved)
 {
     const num i = x[index_at(row, P_STATE)], size = row[P_SCALE] * i, no_load = NUM(row[P_NO_LOAD]);
     num turn;
 #ifdef PLANT_LANES   /* one alone does not go on where it has ended */
-    num now[DC_KEPT];
-    for (size_t k = 0; k < DC_KEPT; ++k) now[k] = known == DC_NOTHING ? NUM(0.0) : kept[k];
+    num now[DC_SOLVED];
+    for (size_t k = 0; k < DC_SOLVED; ++k) now[k] = known == DC_NOTHING ? NUM(0.0) : solved[k];
 #else
-    num *now = kept;
+    num *now = solved;
     (void)open;
 #endif
     const num cosine = dc_link_cosine(row, i, x[index_at(row, P_ORDER)], x[index_at(row, P_STATE_Q)],
@@ -179,16 +179,16 @@ static inline void dc_link_current(const real *row, const num *x, num v, num per
     now[DC_VOLTS] = no_load * (v * part) * phi;
     now[DC_RATE] = no_load * (num_pick(num_above(v, NUM(row[P_LOW])), NUM(1.0), 2.0 * part) * phi + turn);
 #ifdef PLANT_LANES
-    for (size_t k = 0; k < DC_KEPT; ++k) kept[k] = num_pick(open, now[k], kept[k]);
+    for (size_t k = 0; k < DC_SOLVED; ++k) solved[k] = num_pick(open, now[k], solved[k]);
 #endif
     *along = dc_link_is_inverter(row) ? size * phi : -(size * phi);
     *across = size * num_sqrt(1.0 - phi * phi);
 }
 
 /* The dc voltage of this end at v: kept at one so near that the square of their distance is below rounding. */
-static inline num dc_link_voltage(num v, const num *kept)
+static inline num dc_link_voltage(num v, const num *solved)
 {
-    return kept[DC_VOLTS] + kept[DC_RATE] * (v - kept[DC_AT]);
+    return solved[DC_VOLTS] + solved[DC_RATE] * (v - solved[DC_AT]);
 }
 
 #if !defined PLANT_TANGENT && !defined PLANT_LANES
@@ -202,8 +202,8 @@ static inline void dc_link_slope(const double *row, const double *x, size_t stri
     const double order = x == NULL ? i : x[stride * index_at(row, P_ORDER)];
     const double angle = x == NULL ? row[P_REST] : x[stride * index_at(row, P_STATE_Q)];
     const double size = row[P_SCALE] * i, sign = dc_link_is_inverter(row) ? 1.0 : -1.0;
-    double kept[DC_KEPT], turn;
-    const double cosine = dc_link_cosine(row, i, order, angle, u, DC_NOTHING, NULL, kept, &turn);
+    double solved[DC_SOLVED], turn;
+    const double cosine = dc_link_cosine(row, i, order, angle, u, DC_NOTHING, NULL, solved, &turn);
     const double phi = dc_link_phi(row, i, v, 1.0 / u, cosine, &turn), other = sqrt(1.0 - phi * phi);
 
     *end = (DcEnd){ sign * size * phi, size * other };

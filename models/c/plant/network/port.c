@@ -113,7 +113,7 @@ static double residual(const Problem *s, double *r)
     return worst;
 }
 
-static int invert_here(const Problem *s, double *work)
+static int invert_at(const Problem *s, double *work)
 {
     return port_inverse(s->memory, s->plan, s->at.v_re, s->at.v_im, s->x, 1, s->sine, s->cosine, s->inverse, work);
 }
@@ -194,7 +194,7 @@ static size_t newton(const Problem *s, int free, double *work)
         double share;
         if (size <= ACCURACY * scale) return n;
         if (!ready) {
-            if (!invert_here(s, order)) break;
+            if (!invert_at(s, order)) break;
             ready = fresh = 1;
         }
         copy_voltages(s, from);
@@ -233,14 +233,14 @@ static void fold_columns(const Plan *plan, size_t lanes, const double *W, size_t
     const size_t n = plan->n_port, most = 2 * n;
 
     for (size_t first = 0; first < count; first += most, to += 2 * n * most) {
-        const size_t some = count - first < most ? count - first : most;
+        const size_t taken = count - first < most ? count - first : most;
         double *column = work;
-        for (size_t k = 0; k < some; ++k, g += n, b += n, column += 2 * n)
+        for (size_t k = 0; k < taken; ++k, g += n, b += n, column += 2 * n)
             for (size_t p = 0; p < n; ++p) {
                 column[p] = turned ? -b[p] : g[p];
                 column[n + p] = turned ? g[p] : b[p];
             }
-        TILED(num_products, lanes, 2 * n, W, 2 * n, 2 * n, some, work, to);
+        TILED(num_products, lanes, 2 * n, W, 2 * n, 2 * n, taken, work, to);
     }
 }
 
@@ -285,7 +285,7 @@ void port_fold_at_rest(double *memory, const Plan *plan, size_t lanes, double wa
 }
 
 /* The same with those at v: an iteration from there. */
-static int fold_here(const Problem *s, const double *v, double *work)
+static int fold_at(const Problem *s, const double *v, double *work)
 {
     double *rest = s->memory + s->plan->warm + W_REST;
 
@@ -326,8 +326,8 @@ static size_t solve_otherwise(const Problem *problem, PortCare care, int stage, 
     const size_t n = plan->n_port;
     int failed = 1;
 
-    if (fold_here(problem, last, work)) {
-        port_given(memory, plan, problem->lanes, e_re, e_im, linear, b, work);
+    if (fold_at(problem, last, work)) {
+        port_linear(memory, plan, problem->lanes, e_re, e_im, linear, b, work);
         failed = port_iterate(memory, plan, problem->lanes, care, stage, memory + plan->warm, care == PORT_STEP, b, problem->x,
                               problem->sine, problem->cosine, e_re, e_im, problem->at, work);
     }
@@ -341,7 +341,7 @@ static size_t solve_otherwise(const Problem *problem, PortCare care, int stage, 
     if (stuck < n) return stuck;
     /* e and w are those of the solution: what follows only prepares the next call */
     memcpy(last, problem->at.v_re, 2 * n * sizeof(double));
-    (void)fold_here(problem, last, work);
+    (void)fold_at(problem, last, work);
     return n;
 }
 
@@ -351,7 +351,7 @@ size_t port_solve(double *memory, const Plan *plan, size_t lanes, PortCare care,
     const size_t n = plan->n_port;
     double *b = work, *more = b + 2 * n;
 
-    port_given(memory, plan, lanes, e_re, e_im, linear, b, more);
+    port_linear(memory, plan, lanes, e_re, e_im, linear, b, more);
     if (port_iterate(memory, plan, lanes, care, stage, memory + plan->warm, care == PORT_STEP, b, x, sine, cosine, e_re, e_im,
                      w, more)) {
         const Problem problem = { memory, plan, lanes, x, sine, cosine, e_re, e_im, w, linear == NULL ? more + 8 * n : linear,

@@ -30,7 +30,7 @@
 
 /* What the physics needs at the ports besides sources: air-gap or bus voltages,
  * at a machine's port its isd, isq, at the end of a dc link what it keeps. n_port each, one after the other. */
-typedef struct { num *v_re, *v_im, *isd, *isq, *kept; } PortWork;
+typedef struct { num *v_re, *v_im, *isd, *isq, *solved; } PortWork;
 
 static inline PortWork port_arrays(num *scratch, size_t n)
 {
@@ -55,7 +55,7 @@ static inline void port_inject(const real *memory, const Plan *plan, size_t firs
         } else if (port_is_device(row)) {
             const size_t k = n + index_at(row, P_DEVICE);
             bus_device_injection(row, x, sine[k], cosine[k], size[p], w.v_re[p], w.v_im[p], re, im, known,
-                                 held == NULL ? NULL : held + DC_HELD * p, open, w.kept + DC_KEPT * p);
+                                 held == NULL ? NULL : held + DC_HELD * p, open, w.solved + DC_SOLVED * p);
         } else {
             const size_t k = index_at(row, P_DEVICE);
             const flag on = num_above(NUM(row[P_ON]), NUM(0.5));   /* a tripped machine gives nothing */
@@ -102,14 +102,14 @@ typedef enum { PORT_STEP, PORT_ALONE, PORT_EXACT } PortCare;
 
 /* Work arrays: those of PortWork, and numbers of port_solve for each port besides
  * its 2 x (2 n_port)^2 for an inverse and its columns. */
-enum { PORT_ARRAYS = 4 + DC_KEPT, PORT_NEWTON = 12 };
+enum { PORT_ARRAYS = 4 + DC_SOLVED, PORT_NEWTON = 12 };
 
 #if !defined PLANT_TANGENT
 static inline num num_size(num a) { return num_pick(num_above(NUM(0.0), a), -a, a); }
 static inline num num_larger(num a, num b) { return num_pick(num_above(b, a), b, a); }
 
 /* b from the EMFs, or of few ports from their voltages without what they inject. work: 2 n_port. */
-static inline void port_given(const real *memory, const Plan *plan, size_t lanes, const num *e_re, const num *e_im,
+static inline void port_linear(const real *memory, const Plan *plan, size_t lanes, const num *e_re, const num *e_im,
                               const num *linear, num *b, num *work)
 {
     const size_t n = 2 * plan->n_port, m = plan->n_machine;
@@ -192,14 +192,14 @@ static inline void port_keep(num *restrict warm, size_t n, flag keep, const num 
 }
 
 /* Angles of dc links in this solution, for the next to start from. */
-static inline void port_hold(const real *memory, const Plan *plan, flag keep, const num *kept, num *held)
+static inline void port_hold(const real *memory, const Plan *plan, flag keep, const num *solved, num *held)
 {
     const real *row = memory + plan->port;
 
     if (plan->n_at_bus == 0) return;
-    for (size_t p = 0; p < plan->n_port; ++p, row += P_ROWS, kept += DC_KEPT, held += DC_HELD) {
+    for (size_t p = 0; p < plan->n_port; ++p, row += P_ROWS, solved += DC_SOLVED, held += DC_HELD) {
         const size_t coupling = port_is_device(row) ? index_at(row, P_COUPLING) : COUPLING_NONE;
-        if (coupling == COUPLING_RECTIFIER || coupling == COUPLING_INVERTER) dc_link_hold(keep, kept, held);
+        if (coupling == COUPLING_RECTIFIER || coupling == COUPLING_INVERTER) dc_link_hold(keep, solved, held);
     }
 }
 
@@ -283,7 +283,7 @@ static inline flag port_iterate(const real *memory, const Plan *plan, size_t lan
         port_inject(memory, plan, ports_at_buses(memory, plan), DC_NOTHING, NULL, flag_all(), x, sine, cosine, w, e_re, e_im);
     keep = keep & flag_not(failed);
     port_keep(warm, 2 * n, keep, b, aim, v, missed);
-    port_hold(memory, plan, keep, w.kept, held);
+    port_hold(memory, plan, keep, w.solved, held);
     warm[W_RATIO] = num_pick(keep, known, warm[W_RATIO]);
     return failed;
 }

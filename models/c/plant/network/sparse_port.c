@@ -252,7 +252,7 @@ static int newton_from_many(const Problem *s, size_t *port)
 }
 
 /* Whether the slopes in the factors are those at the solution. */
-static int folded_here(const Problem *s)
+static int folded_at(const Problem *s)
 {
     const double *at = s->memory + s->plan->port_fold;
     double off = s->memory[s->plan->warm + F_READY] > 0.5 ? 0.0 : 1.0;
@@ -283,7 +283,7 @@ size_t sparse_port_solve(double *memory, const Plan *plan, const Pattern *patter
         of[F_READY] = 0.0;
         return port;
     }
-    if (care == PORT_EXACT && !folded_here(s) && !fold(s)) return port;
+    if (care == PORT_EXACT && !folded_at(s) && !fold(s)) return port;
     if (plan->n_node > plan->n_bus)
         sparse_port_inject(memory, plan, ports_at_buses(memory, plan), x, sine, cosine, w, e_re, e_im);
     keep(s);

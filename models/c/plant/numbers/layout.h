@@ -19,8 +19,8 @@ enum {  /* machine, per unit on the machine base */
     M_SATURATES, M_SAT_A, M_SAT_B, M_SAT_EMF,  /* explicit saturation (machine_saturation)         */
     M_SAT_Q1, M_SAT_Q2,                        /* its share on ed1, on ed2                         */
     M_EFD0, M_PM0, M_VT0,  /* at the operating point; classical: M_EFD0 is the EMF */
-    M_GIVEN,            /* what follows from these (machine_prepare)    */
-    M_A = M_GIVEN, M_B, /* (Xd2 - Xl)/(Xd1 - Xl), (Xq2 - Xl)/(Xq1 - Xl) */
+    M_PARAMETERS,            /* what follows from these (machine_prepare)    */
+    M_A = M_PARAMETERS, M_B, /* (Xd2 - Xl)/(Xd1 - Xl), (Xq2 - Xl)/(Xq1 - Xl) */
     M_LEAK_D, M_LEAK_Q, /* 1/(Xd1 - Xl), 1/(Xq1 - Xl)                   */
     M_PER_TD01, M_PER_TD02, M_PER_TQ01, M_PER_TQ02, M_PER_2H, M_PER_RATIO,
     M_ROWS

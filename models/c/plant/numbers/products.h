@@ -76,19 +76,19 @@ static inline void num_products(const double *M, size_t rows, size_t columns, si
     enum { WIDE = PLANT_LANES, TOGETHER = 8 };
 
     for (size_t q = 0; q < count; q += TOGETHER, s += TOGETHER * columns, to += TOGETHER * rows) {
-        const size_t some = count - q < TOGETHER ? count - q : TOGETHER;
+        const size_t taken = count - q < TOGETHER ? count - q : TOGETHER;
         for (size_t left = 0; left < rows; left += WIDE) {
             const size_t at = left + WIDE > rows ? rows - WIDE : left;
             const double *m = M + at;
             num sum[TOGETHER];
             for (size_t p = 0; p < TOGETHER; ++p) sum[p] = NUM(0.0);
-            if (some == TOGETHER)
+            if (taken == TOGETHER)
                 for (size_t k = 0; k < columns; ++k, m += rows)
                     for (size_t p = 0; p < TOGETHER; ++p) sum[p] += num_at(m) * s[p * columns + k];
             else
                 for (size_t k = 0; k < columns; ++k, m += rows)
-                    for (size_t p = 0; p < some; ++p) sum[p] += num_at(m) * s[p * columns + k];
-            for (size_t p = 0; p < some; ++p) put_at(to + p * rows + at, sum[p]);
+                    for (size_t p = 0; p < taken; ++p) sum[p] += num_at(m) * s[p * columns + k];
+            for (size_t p = 0; p < taken; ++p) put_at(to + p * rows + at, sum[p]);
         }
     }
 }

@@ -202,8 +202,8 @@ static inline num num_clamp(num a, real low, real high)
 static inline num num_angle(num y, num x)
 {
     const num size = num_sqrt(x * x + y * y), behind = num_pick(num_above(NUM(0.0), x), -x, x);
-    const flag some = num_above(size, NUM(0.0));
-    num t = num_ratio(y, num_pick(some, size + behind, NUM(1.0)));
+    const flag nonzero = num_above(size, NUM(0.0));
+    num t = num_ratio(y, num_pick(nonzero, size + behind, NUM(1.0)));
     for (int k = 0; k < 3; ++k) t = num_ratio(t, 1.0 + num_sqrt(1.0 + t * t));
     const num q = t * t;
     const num tail = q * (-1.0 / 3 + q * (1.0 / 5 + q * (-1.0 / 7 + q * (1.0 / 9 + q * (-1.0 / 11

@@ -14,7 +14,7 @@ typedef struct {
     DeviceSignals signals;
     size_t device, states, reference;   /* reference: its row, or 0 where it has none */
     double table[MOST_ROWS], machine, step, slip;
-    double output, wanted, *seen;       /* seen: where others look for the output     */
+    double output, set_to, *seen;       /* seen: where others look for the output     */
 } Alone;
 
 void rest_prepare(double *memory, const Plan *plan)
@@ -30,7 +30,7 @@ static void residual(Alone *a, const double *z, double *f)
 {
     if (a->reference > 0) a->table[a->reference] = z[a->states];
     device_run(a->device, &a->group, &a->signals, z, f);
-    if (a->reference > 0) f[a->states] = a->output - a->wanted;
+    if (a->reference > 0) f[a->states] = a->output - a->set_to;
 }
 
 /* Gauss with partial pivoting, in place; 0: singular. */
@@ -120,13 +120,13 @@ static void take_out(Alone *a, double *memory, const Plan *plan, const double *r
                                 &a->signals.ip1 };
     double **output = outputs[device_kind(a->device)];
     a->seen = *output;
-    a->wanted = *a->seen;
+    a->set_to = *a->seen;
     *output = &a->output;
     for (size_t i = 0; i < device_rows(a->device); ++i) a->table[i] = table[i * count];
 }
 
-/* Its set-point and start values, if a parameter differs from those `given`; 0: no rest found. */
-static int settle_device(Block *b, const Plan *plan, const double *row, size_t k, const double *given,
+/* Its set-point and start values, if a parameter differs from those `parameters`; 0: no rest found. */
+static int settle_device(Block *b, const Plan *plan, const double *row, size_t k, const double *parameters,
                          const double *rest)
 {
     const size_t count = index_at(row, G_COUNT), device = index_at(row, G_DEVICE), state = index_at(row, G_STATE);
@@ -134,7 +134,7 @@ static int settle_device(Block *b, const Plan *plan, const double *row, size_t k
     int same = 1;
     Alone a;
 
-    for (size_t i = 0; i < device_given(device); ++i) same &= real_bits(table[i * count]) == real_bits(given[i * count + k]);
+    for (size_t i = 0; i < device_parameters(device); ++i) same &= real_bits(table[i * count]) == real_bits(parameters[i * count + k]);
     if (same) return 1;
     if (device_rows(device) > MOST_ROWS || device_states(device, UINT64_MAX) > MOST_STATES) return 0;
     take_out(&a, b->memory, plan, row, k);
@@ -152,7 +152,7 @@ BlockStatus rest_settle(Block *b, const Plan *plan, const Network *net, BlockMes
     static const char *const kinds[] = { ".governor", ".compensator", ".stabilizer", ".limiter", ".exciter",
                                         "", "", "", "", "", "" };
     size_t length;
-    const double *given = record_f64(b->record, "device.table", &length);
+    const double *parameters = record_f64(b->record, "device.table", &length);
     const double *rest = record_f64(b->record, "state.rest", &length);
     char name[64];
 
@@ -160,13 +160,13 @@ BlockStatus rest_settle(Block *b, const Plan *plan, const Network *net, BlockMes
         const double *row = b->memory + plan->group + G_ROWS * g;
         const size_t count = index_at(row, G_COUNT), device = index_at(row, G_DEVICE);
         for (size_t k = 0; k < count; ++k)
-            if (!settle_device(b, plan, row, k, given, rest)) {
+            if (!settle_device(b, plan, row, k, parameters, rest)) {
                 const size_t machine = index_at(b->memory + index_at(row, G_MACHINE), k);
                 return plant_fail(message, BLOCK_ERROR,
                                   "%s%s: no equilibrium at the operating point: a limit excludes it with these parameters",
                                   plant_name(net->machine_names, machine, name), kinds[device_kind(device)]);
             }
-        given += count * device_given(device);
+        parameters += count * device_parameters(device);
     }
     return BLOCK_OK;
 }

@@ -15,19 +15,19 @@ enum {
 /* Everything the record must hold; `bad` keeps the first array that does not fit. */
 typedef struct { const Record *record; const char *bad; } Reader;
 
-static const double *reals(Reader *r, const char *name, size_t wanted)
+static const double *reals(Reader *r, const char *name, size_t expected)
 {
     size_t count;
     const double *data = record_f64(r->record, name, &count);
-    if (count != wanted && r->bad == NULL) r->bad = name;
+    if (count != expected && r->bad == NULL) r->bad = name;
     return data;
 }
 
-static const int32_t *integers(Reader *r, const char *name, size_t wanted, size_t below)
+static const int32_t *integers(Reader *r, const char *name, size_t expected, size_t below)
 {
     size_t count;
     const int32_t *data = record_i32(r->record, name, &count);
-    int fits = count == wanted;
+    int fits = count == expected;
     for (size_t k = 0; fits && k < count; ++k) fits = data[k] >= 0 && (size_t)data[k] < below;
     if (!fits && r->bad == NULL) r->bad = name;
     return data;
@@ -220,20 +220,20 @@ static void check_groups(Reader *r, const BlockLayout *layout, const Plan *plan)
     const int32_t *device = integers(r, "group.device", n, DEVICE_COUNT), *count = integers(r, "group.count", n, 100001);
     const int32_t *state = integers(r, "group.state", n, layout->n_x + 1), *known;
     const double *has = reals(r, "group.has", n);
-    size_t given = 0, length;
+    size_t parameters = 0, length;
 
     (void)integers(r, "device.machine", plan->n_device, plan->n_place);
     known = record_i32(r->record, "device.signature", &length);
     if (r->bad == NULL && (length != 1 || (uint32_t)known[0] != DEVICE_SIGNATURE)) r->bad = "device.signature";
     for (size_t k = 0; r->bad == NULL && k < n; ++k) {
         const size_t number = (size_t)count[k];
-        given += number * device_given((size_t)device[k]);
+        parameters += number * device_parameters((size_t)device[k]);
         if (!(has[k] >= 0.0 && has[k] < MOST_HAS))
             r->bad = "group.has";
         else if ((size_t)state[k] + number * device_states((size_t)device[k], (uint64_t)has[k]) > layout->n_x)
             r->bad = "group.state";
     }
-    if (r->bad == NULL) (void)reals(r, "device.table", given);
+    if (r->bad == NULL) (void)reals(r, "device.table", parameters);
 }
 
 /* What is shown exists; Efd and Pm, for which the devices must have run, are locals only. */
@@ -264,7 +264,7 @@ BlockStatus plant_check(const Record *record, const BlockLayout *layout, const P
         || layout->n_ip != SLOT_INTEGERS * plan->n_slot || layout->n_x < 2 * n + 4 * plan->n_sixth)
         return plant_fail(message, BLOCK_ERROR, "record: its counts disagree with the list of variables");
     (void)reals(&r, "plant.base", 2);
-    (void)reals(&r, "machine.table", M_GIVEN * n);
+    (void)reals(&r, "machine.table", M_PARAMETERS * n);
     (void)reals(&r, "machine.rest", R_ROWS * plan->n_place);
     (void)reals(&r, "state.rest", layout->n_x);
     (void)reals(&r, "port.rest", 2 * plan->n_port);
@@ -301,20 +301,20 @@ static void read_groups(Reader *r, const Plan *plan, double *memory)
     const int32_t *state = integers(r, "group.state", n, SIZE_MAX);
     const double *has = reals(r, "group.has", n);
     size_t length, table = plan->device_table, machine = plan->device_machine;
-    const double *given = record_f64(r->record, "device.table", &length);
+    const double *parameters = record_f64(r->record, "device.table", &length);
 
     copy_integers(memory + machine, integers(r, "device.machine", plan->n_device, plan->n_place), plan->n_device);
     for (size_t k = 0; k < n; ++k) {
         double *row = memory + plan->group + G_ROWS * k;
-        const size_t number = (size_t)count[k], rows = device_given((size_t)device[k]) * number;
+        const size_t number = (size_t)count[k], rows = device_parameters((size_t)device[k]) * number;
         row[G_DEVICE] = (double)device[k];
         row[G_COUNT] = (double)number;
         row[G_HAS] = has[k];
         row[G_STATE] = (double)state[k];
         row[G_TABLE] = (double)table;
         row[G_MACHINE] = (double)machine;
-        copy_reals(memory + table, given, rows);
-        given += rows;
+        copy_reals(memory + table, parameters, rows);
+        parameters += rows;
         table += device_rows((size_t)device[k]) * number;
         machine += number;
     }
@@ -325,7 +325,7 @@ static void read_tables(const Record *record, const Plan *plan, const Network *n
     Reader r = { record, NULL };
     const size_t n = plan->n_machine;
 
-    copy_reals(memory + plan->machine, reals(&r, "machine.table", M_GIVEN * n), M_GIVEN * n);
+    copy_reals(memory + plan->machine, reals(&r, "machine.table", M_PARAMETERS * n), M_PARAMETERS * n);
     machine_prepare(memory + plan->machine, n, plan->n_sixth);
     copy_integers(memory + plan->machine_bus, net->machine_bus, n);
     copy_reals(memory + plan->rest, reals(&r, "machine.rest", R_ROWS * plan->n_place), R_ROWS * plan->n_place);
@@ -391,7 +391,7 @@ static BlockStatus read_parameters(const Block *b, const Plan *plan, double *mem
         if (table[k] == 0) continue;   /* the FMI layer's own */
         const double *group = memory + plan->group + G_ROWS * ((size_t)table[k] - 1);
         const size_t count = index_at(group, G_COUNT);
-        if ((size_t)row[k] >= device_given(index_at(group, G_DEVICE)) || (size_t)device[k] >= count)
+        if ((size_t)row[k] >= device_parameters(index_at(group, G_DEVICE)) || (size_t)device[k] >= count)
             return plant_fail(message, BLOCK_ERROR, "record: parameter %s points outside its table",
                               plant_name(names, k, name));
         memory[index_at(group, G_TABLE) + (size_t)row[k] * count + (size_t)device[k]] = value;
