@@ -27,7 +27,7 @@ from interarea.fmu_build.write.cache import default_cache
 
 ARGUMENTS = ["--no-sandbox", "--disable-gpu", "--disable-background-networking"]
 #: case -> largest page in kB, redraws a second
-WANTED = {"two-area-thesis": (250, 30), "new-england": (900, 10), "nets-nyps": (900, 4)}
+LIMITS = {"two-area-thesis": (250, 30), "new-england": (900, 10), "nets-nyps": (900, 4)}
 AT_LIMITS = 20  #: redraws a second of two areas with field limits
 #: preset -> slider that moves and between what, where not the latency; half of these faults are survived
 MOVED = {"Left alone": ("sz", [-20, 20]), "The fault": ("tc", [50, 500])}
@@ -58,9 +58,9 @@ def main() -> int:
     missed = 0
     with tempfile.TemporaryDirectory() as folder, sync_playwright() as play:
         browser = play.chromium.launch(executable_path=chosen.chromium, args=ARGUMENTS)
-        for case in chosen.case or WANTED:
+        for case in chosen.case or LIMITS:
             path = write_explorer(case, Path(folder) / f"{case}.html", cache=default_cache())
-            kilobytes, limits = path.stat().st_size / 1000, WANTED.get(case, (900, 4))
+            kilobytes, limits = path.stat().st_size / 1000, LIMITS.get(case, (900, 4))
             print(f"{case}: {kilobytes:.0f} kB (wanted <= {limits[0]})")
             missed += kilobytes > limits[0]
             missed += not measure(browser, path, limits[1], chosen.seconds)
@@ -68,7 +68,7 @@ def main() -> int:
     return 1 if missed else 0
 
 
-def measure(browser: Any, path: Path, wanted: float, seconds: float) -> bool:
+def measure(browser: Any, path: Path, limit: float, seconds: float) -> bool:
     """Print what one page does; return whether it is as wanted."""
     firsts = []
     for _ in range(3):
@@ -100,7 +100,7 @@ def measure(browser: Any, path: Path, wanted: float, seconds: float) -> bool:
             drawn = page.evaluate("explorer.frames") - frames
             spent = {n: 1000 * (t - before.get(n, 0.0)) / drawn for n, t in cpu_seconds(threads()).items()}
         rate = statistics.median(r for r, _ in rates)
-        need = AT_LIMITS if label == "The fault" and wanted >= AT_LIMITS else wanted
+        need = AT_LIMITS if label == "The fault" and limit >= AT_LIMITS else limit
         print(
             f"  {label}: {rate:.1f} redraws a second (wanted >= {need}), run {rates[-1][1]:.0f} ms; "
             + ", ".join(f"{n} {t:.1f} ms" for n, t in sorted(spent.items()) if t > 0.2)

@@ -36,9 +36,9 @@ from interarea.cosim.scenario.scenario import load_scenario
 from interarea.fmu_build.open.fmu_file import FmuFile
 
 #: microseconds per step and FMU at N = 10, every output recorded
-WANTED_KERNEL, WANTED_PYTHON = 0.15, 3.5
+LIMIT_KERNEL, LIMIT_PYTHON = 0.15, 3.5
 #: cost of the closed loop over that of the plant alone
-WANTED_LOOP = 1.25
+LIMIT_LOOP = 1.25
 KERNEL_HELD, KERNEL, PYTHON_HELD, PYTHON = (
     "interarea kernel, inputs held",
     "interarea kernel, cubic inputs",
@@ -186,10 +186,10 @@ def print_chains(times: dict[int, dict[str, float | str]]) -> None:
     kernel, python = times[largest][KERNEL], times[largest][PYTHON_HELD]
     if isinstance(kernel, float) and isinstance(python, float):
         print(
-            f"wanted at N = {largest}: kernel <= {WANTED_KERNEL}: {_verdict(kernel <= WANTED_KERNEL)}; ",
+            f"wanted at N = {largest}: kernel <= {LIMIT_KERNEL}: {_verdict(kernel <= LIMIT_KERNEL)}; ",
             end="",
         )
-        print(f"Python <= {WANTED_PYTHON}: {_verdict(python <= WANTED_PYTHON)}")
+        print(f"Python <= {LIMIT_PYTHON}: {_verdict(python <= LIMIT_PYTHON)}")
     slower = [
         f"{title} at N = {n}"
         for n, row in times.items()
@@ -207,9 +207,7 @@ def print_study(times: dict[str, float]) -> None:
     for title, value in times.items():
         print(f"{title:<32}{value:9.2f}")
     ratio = times["closed loop: rerun"] / times["plant alone: rerun"]
-    print(
-        f"closed loop / plant alone = {ratio:.3f}, wanted <= {WANTED_LOOP}: {_verdict(ratio <= WANTED_LOOP)}"
-    )
+    print(f"closed loop / plant alone = {ratio:.3f}, wanted <= {LIMIT_LOOP}: {_verdict(ratio <= LIMIT_LOOP)}")
 
 
 def _verdict(reached: bool) -> str:

@@ -132,11 +132,11 @@ def reduction(plant: SparsePlant, case: Case, order: int) -> dict[str, Any]:
     pairs = zip(picked, [*picked[1:], picked[0]], strict=True)
     outputs = {f"{a}-{b}": {f"{a}_dw": 1.0, f"{b}_dw": -1.0} for a, b in pairs}
     begin = time.process_time()
-    made = low_rank_reduction(plant, order, inputs=[f"{m}_vs" for m in picked], outputs=outputs)
-    row = {"grid": case.name, "order": order, "error": made.error, "cpu_s": time.process_time() - begin}
-    peak = max(np.linalg.norm(made.system(2j * np.pi * f), 2) for f in np.geomspace(0.1, 2.5, 400))
-    rest = order - len(made.kept)
-    return row | {"any_model_at_least": float(made.hankel_values[rest] / peak)}
+    model = low_rank_reduction(plant, order, inputs=[f"{m}_vs" for m in picked], outputs=outputs)
+    row = {"grid": case.name, "order": order, "error": model.error, "cpu_s": time.process_time() - begin}
+    peak = max(np.linalg.norm(model.system(2j * np.pi * f), 2) for f in np.geomspace(0.1, 2.5, 400))
+    rest = order - len(model.kept)
+    return row | {"any_model_at_least": float(model.hankel_values[rest] / peak)}
 
 
 def main() -> None:
@@ -183,11 +183,12 @@ def main() -> None:
                 flush=True,
             )
         if plant.nstates > 500:
-            made = reduction(plant, case, options.reduce)
-            rows.append(made)
+            model = reduction(plant, case, options.reduce)
+            rows.append(model)
             print(
-                f"  to {made['order']} states: error {made['error']:.1e} of peak, {made['cpu_s']:.1f} CPU s; "
-                f"over all frequencies no model of so many is within {made['any_model_at_least']:.1e}"
+                f"  to {model['order']} states: error {model['error']:.1e} of peak, "
+                f"{model['cpu_s']:.1f} CPU s; "
+                f"over all frequencies no model of so many is within {model['any_model_at_least']:.1e}"
             )
     if options.json:
         options.json.write_text(json.dumps(rows, indent=1) + "\n")

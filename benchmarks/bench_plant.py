@@ -215,8 +215,8 @@ def without_link(case: Case, link: str) -> Case:
         for (end, bus), (p, q) in zip(ends, powers, strict=True)
     ]
     loads = (*case.loads, *(type(case.loads[0])(**load) for load in more))
-    kept = {key: tuple(r for r in getattr(case, key) if r is not row) for key in ("hvdcs", "vscs")}
-    return case.model_copy(update={"loads": loads, **kept})
+    links = {key: tuple(r for r in getattr(case, key) if r is not row) for key in ("hvdcs", "vscs")}
+    return case.model_copy(update={"loads": loads, **links})
 
 
 def price_of_link(case: Case, link: str, bus: int, repeat: int) -> float:

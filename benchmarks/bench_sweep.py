@@ -40,8 +40,8 @@ from interarea.fmu_build.open import fmu_file
 from interarea.fmu_build.write import cache
 from interarea.fmu_build.write.cache import default_cache
 
-WANTED_RATIO, WANTED_OVERHEAD, WANTED_SCALING = 1.3, 0.05, 1.8
-WANTED_LOOKING, WANTED_LOOKING_MS = 0.03, 50.0
+LIMIT_RATIO, LIMIT_OVERHEAD, LIMIT_SCALING = 1.3, 0.05, 1.8
+LIMIT_LOOKING, LIMIT_LOOKING_MS = 0.03, 50.0
 LOOKS = ("read_checked", "unpack_checked", "read_image")
 SHORT_S = 1.5
 #: a fault that all share, then an outage that begins later in each run
@@ -224,8 +224,8 @@ def main() -> int:
             print(f"  {title:<40}{value:9.2f}")
         run = times["one of eight runs of a sweep"]
         ratio = run / times["plant alone: reset and steps"]
-        reached &= ratio <= WANTED_RATIO
-        print(f"run / plant alone = {ratio:.2f}, wanted <= {WANTED_RATIO}: {_verdict(ratio <= WANTED_RATIO)}")
+        reached &= ratio <= LIMIT_RATIO
+        print(f"run / plant alone = {ratio:.2f}, wanted <= {LIMIT_RATIO}: {_verdict(ratio <= LIMIT_RATIO)}")
         print(f"run / plant side by side = {run / times['one of eight plants side by side']:.2f}")
         with_forks, without, forked = forks(80, scratch)
         print(
@@ -235,11 +235,11 @@ def main() -> int:
             flush=True,
         )
         one, share = looking(200, scratch)
-        cheap = one < WANTED_LOOKING_MS and share < WANTED_LOOKING
+        cheap = one < LIMIT_LOOKING_MS and share < LIMIT_LOOKING
         reached &= cheap
         print(
-            f"looking at files: {one:.1f} ms of a run, wanted < {WANTED_LOOKING_MS:.0f}; "
-            f"{share:.2%} of a sweep of 200 runs, wanted < {WANTED_LOOKING:.0%}: {_verdict(cheap)}",
+            f"looking at files: {one:.1f} ms of a run, wanted < {LIMIT_LOOKING_MS:.0f}; "
+            f"{share:.2%} of a sweep of 200 runs, wanted < {LIMIT_LOOKING:.0%}: {_verdict(cheap)}",
             flush=True,
         )
         if not options.no_peers:
@@ -273,11 +273,11 @@ def _sweeps(runs: int) -> bool:
             flush=True,
         )
     overhead = max(cost.overhead for cost in costs.values())
-    good = overhead < WANTED_OVERHEAD
-    limit = f"wanted < {100 * WANTED_OVERHEAD:.0f} %"
+    good = overhead < LIMIT_OVERHEAD
+    limit = f"wanted < {100 * LIMIT_OVERHEAD:.0f} %"
     print(f"engine over the runs {100 * overhead:.1f} %, {limit}: {_verdict(good)}")
     one, two = (c.clock_s - c.start_s / w for w, c in costs.items())  # the start is the same for any number
-    print(f"two workers / one = {one / two:.2f}, wanted >= {WANTED_SCALING} (on two idle cores)", flush=True)
+    print(f"two workers / one = {one / two:.2f}, wanted >= {LIMIT_SCALING} (on two idle cores)", flush=True)
     return good
 
 

@@ -33,9 +33,9 @@ def main(results: Path, target: Path) -> None:
 
 
 if __name__ == "__main__":
-    here = Path(__file__).resolve().parent
+    folder = Path(__file__).resolve().parent
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("results", nargs="?", type=Path, default=Path("out/thesis/results"))
-    main(parser.parse_args().results, here / "ring-down.svg")
+    main(parser.parse_args().results, folder / "ring-down.svg")

@@ -12,8 +12,8 @@ def pair_with(folder: Path, record: str) -> tuple[Path, Path]:
     """Write `kundur-pss` as RAW and DYR, with `record` in place of the unit at bus 4; return both files."""
     case = load_case("kundur-pss")
     lines = re.split(r"(?<=/)\s*\n", dyr_text(case))
-    kept = [line for line in lines if not line.strip().startswith("4 ")]
-    (folder / "grid.dyr").write_text("\n".join(kept) + "\n" + record)
+    rest = [line for line in lines if not line.strip().startswith("4 ")]
+    (folder / "grid.dyr").write_text("\n".join(rest) + "\n" + record)
     (folder / "grid.raw").write_text(raw_text(case))
     return folder / "grid.raw", folder / "grid.dyr"
 

@@ -35,7 +35,7 @@ def judged(
     motion = Motion(names, rows, events_s, [*events_s, *outages_s], float(time_s[-1]), 2.0 * np.pi * 60.0)
     edges = [0, *parts, len(time_s) - 1]
     for first, last in pairwise(edges):
-        some = slice(first, last + 1)
-        taken = {name: u[some] for name, u in (controls or {}).items()}
-        motion.add(time_s[some], speeds[:, some], shown[:, some], taken)
+        part = slice(first, last + 1)
+        taken = {name: u[part] for name, u in (controls or {}).items()}
+        motion.add(time_s[part], speeds[:, part], shown[:, part], taken)
     return motion.verdict(limit_pu, root)

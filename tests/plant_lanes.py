@@ -124,12 +124,12 @@ class PlantLanes:
                     runs[number].fmu.set(self.file.variables[name], value)
             alive = [r for r in runs if not r.error]
             for first in range(0, len(alive), width):
-                some = alive[first : first + width]
-                who = tuple(id(r) for r in some)
+                batch = alive[first : first + width]
+                who = tuple(id(r) for r in batch)
                 if who not in works and width > 1:
-                    works[who] = self.group.work(some[0].fmu.component, len(some))
+                    works[who] = self.group.work(batch[0].fmu.component, len(batch))
                 begin = time.process_time()
-                self._step(some, works.get(who), k * step_s, step_s)
+                self._step(batch, works.get(who), k * step_s, step_s)
                 cpu_s += time.process_time() - begin
             if record:
                 self._record(runs, y[k + 1])
@@ -143,17 +143,17 @@ class PlantLanes:
         log = Log()
         file = self.file
         library = Library(file.model, file.interface, file.folder, self.group.path, log=log)
-        made = _Run(library.fresh(), log=log)
+        run = _Run(library.fresh(), log=log)
         try:
-            made.fmu.set_up()
+            run.fmu.set_up()
             for name, value in row.items():
-                if made.fmu.set(file.variables[name], value) > 1:
-                    made.error = log[-1]
-            made.fmu.do("EnterInitializationMode")
-            made.fmu.do("ExitInitializationMode")
+                if run.fmu.set(file.variables[name], value) > 1:
+                    run.error = log[-1]
+            run.fmu.do("EnterInitializationMode")
+            run.fmu.do("ExitInitializationMode")
         except CallFailed:
-            made.error = log[-1]
-        return made
+            run.error = log[-1]
+        return run
 
     def _step(self, runs: list[_Run], work: GroupWork | None, time_s: float, step_s: float) -> None:
         n = len(runs)

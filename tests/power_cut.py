@@ -50,13 +50,13 @@ class Disk:
 
     def content(self, path: Path) -> bytes | None:
         """Return the content of a file where it was forced to disk as it is now."""
-        kept = self.place / _state(path)
-        return kept.read_bytes() if kept.exists() else None
+        stored = self.place / _state(path)
+        return stored.read_bytes() if stored.exists() else None
 
     def _listed(self, folder: Path) -> bytes:
         files = {p.name: _state(p) for p in folder.iterdir() if p.is_file()}
-        kept = {name: state if (self.place / state).exists() else "" for name, state in files.items()}
-        return json.dumps(kept).encode()
+        stored = {name: state if (self.place / state).exists() else "" for name, state in files.items()}
+        return json.dumps(stored).encode()
 
     def _names_of(self, folder: Path) -> Path:
         return self.place / hashlib.sha256(str(folder).encode()).hexdigest()[:24]
@@ -103,8 +103,8 @@ def cut(folder: Path, place: Path, chance: random.Random) -> int:
 
 def _torn(content: bytes, chance: random.Random) -> bytes:
     """Return what may be there of a content that was not forced to disk."""
-    kept = content[: chance.randint(0, len(content))]
-    return kept + chance.choice([b"", bytes(len(content) - len(kept)), chance.randbytes(64)])
+    head = content[: chance.randint(0, len(content))]
+    return head + chance.choice([b"", bytes(len(content) - len(head)), chance.randbytes(64)])
 
 
 def main() -> None:

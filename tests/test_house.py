@@ -191,8 +191,8 @@ def test_c_includes_go_one_way() -> None:
     for path in C_FILES:
         assert _name(path.parent) in C_ORDER, f"{_name(path)}: its folder has no place in C_ORDER"
         for other in _includes(path):
-            here, there = (C_ORDER.index(_name(p.parent)) for p in (path, other))
-            assert there <= here, f"{_name(path)} must not include {_name(other)}"
+            own, there = (C_ORDER.index(_name(p.parent)) for p in (path, other))
+            assert there <= own, f"{_name(path)} must not include {_name(other)}"
             arrows.setdefault(_unit(path), set()).add(_unit(other))
     circle: list[str] = []
     try:
@@ -228,8 +228,8 @@ def test_a_folder_is_taken_in_at_a_glance(floor: str) -> None:
     """At most so many modules in a folder; a C file and its header count as one."""
     files = [p for p in (ROOT / floor).rglob("*") if p.suffix in (".py", ".c", ".h")]
     for folder in {p.parent for p in files}:
-        here = {p.stem for p in files if p.parent == folder}
-        assert len(here) <= MOST_MODULES, f"{_name(folder)}: {len(here)} modules; which belong together?"
+        names = {p.stem for p in files if p.parent == folder}
+        assert len(names) <= MOST_MODULES, f"{_name(folder)}: {len(names)} modules; which belong together?"
 
 
 def test_every_package_is_installed() -> None:

@@ -85,12 +85,12 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("controllers", nargs="*", default=["wide_area"])
     parser.add_argument("--design", type=Path, required=True, help="file of the detector's patterns")
-    asked = parser.parse_args()
+    options = parser.parse_args()
     print("| controller | signals compared | detector (us) | controller (us) | ratio |")
     print("|---|---|---|---|---|")
-    for name in asked.controllers:
+    for name in options.controllers:
         controller, table = judged_and_design(name, None, None)
-        designed = load_detector(asked.design)
+        designed = load_detector(options.design)
         latency_s_of = signals_of(table.grid, controller, designed.signals).all
         patterns = designed.patterns.of([designed.signals.index(s) for s in latency_s_of])
         inputs, cache = frames(latency_s_of), default_cache()

@@ -31,15 +31,15 @@ def main(names: Sequence[str]) -> int:
         loops, unstable = 0, 0
         for point, case in table.acceptance.looked_at(family_cases(table)).items():
             late = Condition("late", (), dict.fromkeys(controller.inputs, latency_s))
-            here = FaultLoops(case, controller, default_cache())
+            study = FaultLoops(case, controller, default_cache())
             for fault in table.acceptance.fault:
-                alone = here.end(fault.trip, controlled=False)
-                end = here.end(fault.trip, late)
+                alone = study.end(fault.trip, controlled=False)
+                end = study.end(fault.trip, late)
                 loops += 1
                 if alone.stable and not end.stable:
                     unstable += 1
                     print(f"{name}: {point}, {fault}: rightmost root {end.root:.3g} 1/s", flush=True)
-            for trip in here.unsolved:
+            for trip in study.unsolved:
                 print(f"{name}: {point}: no power flow without {trip}", flush=True)
         print(f"{name}: {unstable} of {loops} loops unstable that are stable without control")
         failed = failed or unstable > 0

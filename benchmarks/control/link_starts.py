@@ -44,10 +44,10 @@ def reached_from(table: DesignTable, seed: int) -> Reached | None:
     cache, began = default_cache(), time.monotonic()
     plants = {name: each.searched for name, each in family_plants(alone, cache).items()}
     try:
-        made = design_robust(plants, alone.spec(), alone.grid.omega_b)
+        design = design_robust(plants, alone.spec(), alone.grid.omega_b)
     except InfeasibleDesign:
         return None
-    judged = judge(alone, made.system, cache)
+    judged = judge(alone, design.system, cache)
     lossless = {condition.name for condition in alone.family() if not condition.lost}
     inter_area = min(row.inter_area for row in judged.rows if row.condition in lossless)
     return Reached(seed, inter_area, judged.worst_swing, judged.effort, time.monotonic() - began)

@@ -121,7 +121,7 @@ class Point:
         self.alone = {s: alone for alone, settings in groups for s in settings if s.lost}
         self.latest = [s for s in self.alone if s.latency_s == max(table.latency_s)]
 
-    def kept(
+    def survives(
         self, runs: FaultRuns, rule: str, cycles: Mapping[Setting, float], *, controlled: bool = True
     ) -> dict[Setting, bool]:
         """Return which faults keep synchronism."""
@@ -151,7 +151,7 @@ class Point:
         """Return the longest faults that keep synchronism."""
         longest = longest_stable(
             self.latest,
-            lambda cycles: self.kept(runs, rule, cycles),
+            lambda cycles: self.survives(runs, rule, cycles),
             1.0,
             LONGEST_CYCLES,
             RESOLUTION_CYCLES,
@@ -172,9 +172,11 @@ def faults(controllers: list[str]) -> None:
             point = Point(K, table.acceptance, label, case)
             with FaultRuns(case, default_cache()) as runs:
                 fault = dict.fromkeys(point.alone.values(), table.acceptance.clear_cycles)
-                without = point.kept(runs, "zero", fault, controlled=False)
+                without = point.survives(runs, "zero", fault, controlled=False)
                 for rule in RULES:
-                    stable = point.kept(runs, rule, dict.fromkeys(point.alone, table.acceptance.clear_cycles))
+                    stable = point.survives(
+                        runs, rule, dict.fromkeys(point.alone, table.acceptance.clear_cycles)
+                    )
                     for s, keeps in stable.items():
                         alone = without[point.alone[s]]
                         counts[rule] += (1, alone and not keeps, keeps and not alone)

@@ -192,7 +192,7 @@ def genuine(controllers: list[str], design: Path, most: int, count: int, seed: i
             if count
             else chosen_runs(table.grid, compared, trips, most)
         )
-        number, kept, alarms = 0, 0, []
+        number, survived, alarms = 0, 0, []
         stop_s = STOP_S + (DRAWN_S if count else 0.0)
         for point, case, disturbed in every:
             detector = {"file": str(design.absolute())}
@@ -203,12 +203,12 @@ def genuine(controllers: list[str], design: Path, most: int, count: int, seed: i
             with FaultRuns(case, default_cache()) as there:
                 for run, (outcome, data) in zip(runs, there.judged(runs, [None] * len(runs)), strict=True):
                     number += 1
-                    kept += outcome.synchronous  # else a machine slips: its signal is not as the others
+                    survived += outcome.synchronous  # else a machine slips: its signal is not as the others
                     result = {s: int(data[f"detector.{s}_reason"].max()) for s in latency_s_of}
                     if outcome.synchronous and any(result.values()):
                         verdict = "" if outcome.verdict is None else outcome.verdict.name
                         alarms.append(f"{list(run.events)} at {point}: {result}, {verdict}")
-        print(f"| `{name}` | {number} | {kept} | {len(alarms)} |", flush=True)
+        print(f"| `{name}` | {number} | {survived} | {len(alarms)} |", flush=True)
         for line in alarms:
             print(f"  {line}", flush=True)
 
@@ -318,16 +318,16 @@ if __name__ == "__main__":
     parser.add_argument("--most", type=int, default=1000, help="disturbances, evenly chosen (default 1000)")
     parser.add_argument("--drawn", type=int, default=0, help="so many random disturbances instead")
     parser.add_argument("--seed", type=int, default=1, help="of the random disturbances (default 1)")
-    asked = parser.parse_args()
-    if asked.drawn % POINTS:
+    options = parser.parse_args()
+    if options.drawn % POINTS:
         parser.error(
-            f"--drawn {asked.drawn}: must be a multiple of {POINTS}, as many at each operating point"
+            f"--drawn {options.drawn}: must be a multiple of {POINTS}, as many at each operating point"
         )
-    if not asked.design.exists():
-        first, of_first = judged_and_design(asked.controllers[0], None, None)
+    if not options.design.exists():
+        first, of_first = judged_and_design(options.controllers[0], None, None)
         signals = list(signals_of(of_first.grid, first).all)
-        design_detector(of_first.grid, asked.controllers[0], signals).save(asked.design)
-    if asked.ambient_hours:
-        ambient(asked.controllers[0], asked.design, asked.ambient_hours)
+        design_detector(of_first.grid, options.controllers[0], signals).save(options.design)
+    if options.ambient_hours:
+        ambient(options.controllers[0], options.design, options.ambient_hours)
     else:
-        genuine(asked.controllers, asked.design, asked.most, asked.drawn, asked.seed)
+        genuine(options.controllers, options.design, options.most, options.drawn, options.seed)

@@ -30,7 +30,7 @@ def peak_mib() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
 
 
-def made(path: Path, folder: Path) -> str:
+def built(path: Path, folder: Path) -> str:
     """Make the plant of a grid; return the line that says what it took."""
     case = ruled_grid(path)
     plant_fmu(case, folder)
@@ -55,7 +55,7 @@ def main() -> None:
     start = multiprocessing.get_context("spawn")
     with tempfile.TemporaryDirectory(dir=default_cache()) as folder:
         for path in parser.parse_args().grids:
-            for measure in (made, opened):
+            for measure in (built, opened):
                 with start.Pool(1) as pool:
                     print(pool.apply(measure, (path, Path(folder))), flush=True)
 

@@ -53,15 +53,15 @@ def printed(name: str) -> tuple[complex, ...]:
     return tuple(eigenvalues[mode] for mode in NAMES)
 
 
-def modes_here(case: Case) -> tuple[complex, ...]:
+def computed_modes(case: Case) -> tuple[complex, ...]:
     """Return the swing modes of the case's plant FMU, in the order of NAMES."""
     modes = modes_of(linear_plant(case, default_cache()), case.areas)
     return tuple(modes[name].eigenvalue for name in NAMES)
 
 
-def half_units(ours: Sequence[complex], wanted: Sequence[complex]) -> float:
+def half_units(ours: Sequence[complex], printed: Sequence[complex]) -> float:
     """Return the largest distance of a printed number, in half units of its last digit."""
-    differences = [z - w for z, w in zip(ours, wanted, strict=True)]
+    differences = [z - w for z, w in zip(ours, printed, strict=True)]
     return max(max(abs(d.real) / HALF[0], abs(d.imag) / HALF[1]) for d in differences)
 
 
@@ -125,7 +125,7 @@ def main() -> int:
             print(f"\n{name}\n  {'printed':86}", *(f"{z.real:8.3f}{z.imag:+6.2f}j  " for z in printed_modes))
             last = name
         case = load_case(name)
-        ours = modes_here(case.with_changes(change) if change else case)
+        ours = computed_modes(case.with_changes(change) if change else case)
         same = len(recorded) == 3 and max(abs(np.subtract(ours, recorded))) <= RECORDED
         differs |= not same
         print(

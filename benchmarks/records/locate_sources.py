@@ -50,7 +50,7 @@ def main() -> None:
     case, tasks = contest() if options.contest else (ia.load_case(options.case), None)
     plant = sparse_linear_plant(case, default_cache())
     counts = dict.fromkeys(("right", "one of several", "one of two", "not named", "wrong"), 0)
-    first_two, asked = 0, 0
+    first_two, total = 0, 0
     for number in range(options.records if tasks is None else len(tasks)):
         rng = np.random.default_rng((options.seed, number))
         if tasks is None:
@@ -67,13 +67,13 @@ def main() -> None:
             took = time.perf_counter() - began
             kind = verdict(answer, truth)
             counts[kind] += 1
-            asked += 1
+            total += 1
             first_two += among_first_two(case, answer, truth, alone=kind == "one of two")
             print(
                 f"{number:3d} {name} {f:.3f} Hz {sorted(truth)}: {kind}; {answer.why} ({took:.2f} s)",
                 flush=True,
             )
-    print(f"{case.name}, {asked} lines: " + ", ".join(f"{k} {v}" for k, v in counts.items()))
+    print(f"{case.name}, {total} lines: " + ", ".join(f"{k} {v}" for k, v in counts.items()))
     print(f"the source among the first two candidates: {first_two}")
 
 

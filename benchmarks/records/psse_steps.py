@@ -102,14 +102,14 @@ class FieldVoltages:
         """Return those of the states that `rates` was asked about last."""
         return self.rates.shown(self.names)
 
-    def made(self, x: Array, before: Array, last: Array) -> Array:
-        """Return those made at `x` with the network of states `before`, whose own are `last`."""
+    def earlier(self, x: Array, before: Array, last: Array) -> Array:
+        """Return those at `x` with the network of states `before`, whose own are `last`."""
         self.rates.at(np.where(self.of_machines, before, x))
         return np.where(self.whole, last, self.now())
 
-    def put(self, dx: Array, made: Array, now: Array) -> None:
-        """Change rates `dx`, found with `now`, to those with `made`."""
-        for change, (eq1, eq2), (share, Td01) in zip(made - now, self.at, self.share, strict=True):
+    def put(self, dx: Array, voltages: Array, now: Array) -> None:
+        """Change rates `dx`, found with `now`, to those with `voltages`."""
+        for change, (eq1, eq2), (share, Td01) in zip(voltages - now, self.at, self.share, strict=True):
             dx[eq1] += change / Td01
             dx[eq2] += share * change / Td01
 
@@ -185,7 +185,7 @@ def psse_steps(
     governed = np.array([name.split(".")[0] in hydro and ".governor." in name for name in states])
     slips = np.array([name.endswith(".slip") for name in states])
     x = rates.start()
-    before, dx_before, made_before = x.copy(), np.zeros_like(x), np.zeros(0)
+    before, dx_before, voltages_before = x.copy(), np.zeros_like(x), np.zeros(0)
     switches = {round(t / h) for e in events for t in (e.start_s, getattr(e, "end_s", None)) if t is not None}
     rows = []
 
@@ -198,18 +198,18 @@ def psse_steps(
         dx = rates.at(x)
         rows.append(rates.shown(names))
         now = fields.now()
-        made = fields.made(x, before, made_before if k else now)
+        voltages = fields.earlier(x, before, voltages_before if k else now)
         mean = np.where(governed, late, dx)
-        fields.put(mean, made, now)
+        fields.put(mean, voltages, now)
         if k in switches:
             rates.at(x)
             rates.choose_modes()
             dx = rates.at(x)
             rows[-1] = rates.shown(names)
-            after, now, made = dx.copy(), fields.now(), now
-            fields.put(after, made, now)
+            after, now, voltages = dx.copy(), fields.now(), now
+            fields.put(after, voltages, now)
             mean = np.where(governed, late, 0.5 * (mean + after))
-        made_before = now
+        voltages_before = now
         new = x + h * (1.5 * mean - 0.5 * dx_before)
         for exciter in exciters:
             new[exciter.at] = exciter.step(rates, x, dx, h)

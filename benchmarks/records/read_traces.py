@@ -46,7 +46,7 @@ WITHIN = 1e-3
 LATE = {"EXST1": ("EXST1_EFD_pu", "EXST1_Vm1_y_pu")}
 # The one number in which a run of PSS/E differed from the files kept beside its record. With the files of
 # GENROE and GAST the rate of decay alone is off, by one amount all along.
-MADE_WITH: dict[str, dict[str, Any]] = {
+CHANGES: dict[str, dict[str, Any]] = {
     "STAB1": {"frequency_hz": 60.0},  # RAW: 50
     "GENROE": {"machines": {"G102": {"D": 0.0}}},  # DYR: 0.05
     "GAST": {"machines": {"G102": {"governor": {"Dturb": 0.1}}}},  # DYR: 0
@@ -66,13 +66,13 @@ _COLUMN = {
 
 
 def case_of_trace(
-    trace: dict[str, Any], folder: Path, exponents: tuple[float, float], *, as_given: bool = False
+    trace: dict[str, Any], folder: Path, exponents: tuple[float, float], *, unmodified: bool = False
 ) -> Case:
     """Return the grid of a record; a control of which only the constants are given takes its place."""
     raw, dyr = folder / trace["raw"], folder / trace["dyr"]
     case = import_psse(raw, dyr, options=ImportOptions(P_exponent=exponents[0], Q_exponent=exponents[1])).case
-    if trace.get("tool") == "PSS/E" and not as_given:
-        case = case.with_changes(MADE_WITH.get(trace["id"], {}))
+    if trace.get("tool") == "PSS/E" and not unmodified:
+        case = case.with_changes(CHANGES.get(trace["id"], {}))
     change: dict[str, Any] = {}
     for place, constants in trace.get("constants", {}).items():
         model, bus = re.fullmatch(r"(\w+) at (\d+)-\w+", place).groups()  # type: ignore[union-attr]
@@ -82,9 +82,9 @@ def case_of_trace(
         if model == "DEGOV":
             undelayed = {name: value for name, value in constants.items() if name != "TD"}  # 0: no delay
             change[machine.name] = {
-                "governor": {"kind": "degov" if as_given else "degov_fed_back"} | undelayed
+                "governor": {"kind": "degov" if unmodified else "degov_fed_back"} | undelayed
             }
-    devices = [] if as_given else [Path(__file__).parent / "degov_fed_back.toml"]
+    devices = [] if unmodified else [Path(__file__).parent / "degov_fed_back.toml"]
     return case.with_changes({"devices": devices, "machines": change}) if change else case
 
 
@@ -170,14 +170,14 @@ def compare(
     whole: dict[str, Any],
     *,
     two_steps: bool,
-    as_given: bool = False,
+    unmodified: bool = False,
     late_limits: bool = False,
 ) -> dict[str, tuple[float, float]]:
     """Return the largest difference of each column, and that beyond its digits, as shares of its range."""
     exponents = (1.0, 2.0) if "constant current" in whole.get("load_model", "") else (2.0, 2.0)
     if "constant current" in trace.get("load_model", "") or "constant-current" in str(trace["models"]):
         exponents = (1.0, 1.0)
-    case = case_of_trace(trace, folder, exponents, as_given=as_given)
+    case = case_of_trace(trace, folder, exponents, unmodified=unmodified)
     h = trace.get("nominal_step_s", 0.0)
     if two_steps and h:
         case = without_short_transducers(case, h)
@@ -245,7 +245,7 @@ def main() -> int:
         try:
             result[trace["id"]] = compare(
                 trace, options.manifest.parent, whole,
-                two_steps=options.psse_steps, as_given=options.as_given, late_limits=options.late_limits,
+                two_steps=options.psse_steps, unmodified=options.as_given, late_limits=options.late_limits,
             )  # fmt: skip
             text = ", ".join(f"{name} {a:.1e}/{b:.1e}" for name, (a, b) in result[trace["id"]].items())
         except (CaseError, KeyError, FileNotFoundError, FMICallException) as error:

@@ -95,9 +95,9 @@ def against_co_simulation(
 ) -> tuple[float, Counter[str]]:
     """Largest difference of the speeds between model exchange by CVode and steps of 0.5 ms; calls made."""
     names = [f"G{k}_dw" for k in range(1, 5)]
-    asked: dict[str, Any] = {"stop_time": 3.0, "output_interval": 0.01, "output": names}
+    settings: dict[str, Any] = {"stop_time": 3.0, "output_interval": 0.01, "output": names}
     steps = fmpy.simulate_fmu(
-        str(fmu), fmi_type="CoSimulation", start_values=row | {"solver.step": 0.0005}, **asked
+        str(fmu), fmi_type="CoSimulation", start_values=row | {"solver.step": 0.0005}, **settings
     )
     calls: Counter[str] = Counter()
     solved = fmpy.simulate_fmu(
@@ -106,7 +106,7 @@ def against_co_simulation(
         start_values=row,
         relative_tolerance=tolerance,
         fmi_call_logger=lambda line: calls.update([line.partition("(")[0]]),
-        **asked,
+        **settings,
     )
     last = np.searchsorted(solved["time"], steps["time"] + 1e-9, side="right") - 1  # after its events
     assert np.abs(solved["time"][last] - steps["time"]).max() < 1e-9

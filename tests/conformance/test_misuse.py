@@ -188,12 +188,12 @@ def test_diverging_state_is_named(decay: Path) -> None:
 def test_damaged_states_are_refused(fmu: Path) -> None:
     with Runner(fmu) as run:
         run.start()
-        kept = run.fmu.serializeFMUstate(run.fmu.getFMUstate())
+        serialized = run.fmu.serializeFMUstate(run.fmu.getFMUstate())
         for damaged in (
-            kept[:-1],
-            kept + b"\0",
-            kept[:40] + bytes([kept[40] ^ 1]) + kept[41:],
-            b"\0" * len(kept),
+            serialized[:-1],
+            serialized + b"\0",
+            serialized[:40] + bytes([serialized[40] ^ 1]) + serialized[41:],
+            b"\0" * len(serialized),
         ):
             run.fmu.reset()
             check_refused(run, "fmi2DeSerializeFMUstate", run.fmu.deSerializeFMUstate, damaged)

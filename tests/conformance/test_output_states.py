@@ -23,9 +23,9 @@ def test_slopes_of_states_are_those_of_the_complex_step(case: str, cache: Path) 
     speeds = tuple(name for name in outputs if name.endswith("_dw"))
     state = next(name for name in file.variables if name.endswith(".slip"))
     result = []
-    for asked in (speeds, (*speeds, "tie_p" if "tie_p" in outputs else outputs[2])):
+    for requested in (speeds, (*speeds, "tie_p" if "tie_p" in outputs else outputs[2])):
         plant = FmuParticipant("plant", file, {state: 1e-3})
-        plant.bind([], asked)  # the second asks for a slope that only the complex step gives
+        plant.bind([], requested)  # the second asks for a slope that only the complex step gives
         plant.begin(0.0, 1.0)
         plant.ready()
         rows = []

@@ -94,12 +94,12 @@ def test_uri_of_any_folder_name(name: str, decay: Path, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_machine_without_a_binary(tmp_path: Path) -> None:
-    here = fmpy.platform
-    other = "win64" if here != "win64" else "linux64"
+    platform = fmpy.platform
+    other = "win64" if platform != "win64" else "linux64"
     fmu = build_fmu(decay_block(), tmp_path, platforms=[other])
     with pytest.raises(
-        FmuFileError, match=rf"no binary for this platform \({here}\); it has {other}.*--platforms"
+        FmuFileError, match=rf"no binary for this platform \({platform}\); it has {other}.*--platforms"
     ):
         open_plant(fmu)
-    with pytest.raises(FmuFileError, match=rf"no binary for this platform \({here}\); it has {other}"):
+    with pytest.raises(FmuFileError, match=rf"no binary for this platform \({platform}\); it has {other}"):
         FmuFile(fmu)

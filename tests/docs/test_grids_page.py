@@ -36,10 +36,10 @@ def test_the_modes_of_a_bundled_grid_are_those_of_the_page(
 def test_the_modes_of_the_fetched_grids_are_those_of_the_page(tmp_path: Path) -> None:
     spec = importlib.util.spec_from_file_location("fetched_grids", PAGE.parent / "site" / "fetched_grids.py")
     assert spec is not None and spec.loader is not None
-    made = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(made)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
     try:
-        rows, least = made.tables(tmp_path)
+        rows, least = module.tables(tmp_path)
     except subprocess.CalledProcessError as error:
         if b"pip does not" in error.stderr:
             pytest.skip("the wheel with the grids cannot be fetched")

@@ -27,7 +27,7 @@ GENERATED = (*QUICK, "written")  # that one runs commands for its examples
 
 
 @pytest.fixture(scope="module")
-def made() -> dict[str, str]:
+def pages() -> dict[str, str]:
     """Return the generated pages that run nothing, by name."""
     sys.path.insert(0, str(DOCS / "site"))
     try:
@@ -51,8 +51,8 @@ def check_first_and_last(text: str) -> None:
 
 
 @pytest.mark.parametrize("name", QUICK)
-def test_generated_pages_say_so_too(name: str, made: dict[str, str]) -> None:
-    check_first_and_last(made[name])
+def test_generated_pages_say_so_too(name: str, pages: dict[str, str]) -> None:
+    check_first_and_last(pages[name])
 
 
 def test_the_front_page_says_so_too() -> None:
@@ -84,8 +84,8 @@ def test_every_kind_of_what_is_cached_is_told() -> None:
     )
 
 
-def test_no_table_has_an_empty_heading(made: dict[str, str]) -> None:
-    texts = {p.name: p.read_text(encoding="utf-8") for p in PAGES} | made
+def test_no_table_has_an_empty_heading(pages: dict[str, str]) -> None:
+    texts = {p.name: p.read_text(encoding="utf-8") for p in PAGES} | pages
     for name, text in texts.items():
         for head in re.findall(r"^(\|.*\|)\n\|[-| :]+\|$", text, re.MULTILINE):
             assert all(cell.strip() for cell in head.strip("|").split("|")), f"{name}: {head}"
@@ -110,30 +110,30 @@ def test_no_link_within_the_repository_is_dead(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     for target in re.findall(r"\]\(([^)#\s]+)(?:#[^)]*)?\)", text):
         if not target.startswith(("http:", "https:")):
-            made = target.removeprefix("../").startswith("generated/")
+            generated = target.removeprefix("../").startswith("generated/")
             name = Path(target).stem
-            assert (made and name in GENERATED) or (page.parent / target).exists(), target
+            assert (generated and name in GENERATED) or (page.parent / target).exists(), target
 
 
-def test_every_public_name_command_and_device_has_its_place(made: dict[str, str]) -> None:
+def test_every_public_name_command_and_device_has_its_place(pages: dict[str, str]) -> None:
     for name in set(ia.__all__) - {"__version__"}:
-        assert f":: interarea.{name}\n" in made["python"], name
+        assert f":: interarea.{name}\n" in pages["python"], name
     for name in COMMANDS:
-        assert f"\n## {name}\n" in made["commands"], name
-        assert f"\n# interarea {name}" in made["commands"], f"{name} has no example"
+        assert f"\n## {name}\n" in pages["commands"], name
+        assert f"\n# interarea {name}" in pages["commands"], f"{name} has no example"
     for model in library().values():
-        assert f"\n## {model.device.name}\n" in made["devices"]
+        assert f"\n## {model.device.name}\n" in pages["devices"]
         for parameter in model.device.parameters:
-            assert f"| `{parameter.name}` |" in made["devices"]
+            assert f"| `{parameter.name}` |" in pages["devices"]
     assert all((DOCS / "formats" / f"{kind}.md").is_file() for kind in formats.kinds())
     assert set(formats.kinds()) == set(
         re.findall(r"\(formats/(\w+)\.md\)", (DOCS / "reference.md").read_text())
     )
 
 
-def test_every_option_of_a_command_has_its_place(made: dict[str, str]) -> None:
+def test_every_option_of_a_command_has_its_place(pages: dict[str, str]) -> None:
     for name in COMMANDS:
-        section = made["commands"].split(f"\n## {name}\n")[1].split("\n## ")[0]
+        section = pages["commands"].split(f"\n## {name}\n")[1].split("\n## ")[0]
         for p in load(name).params:
             if not getattr(p, "hidden", False):
                 shown = p.opts[0] if p.opts[0].startswith("-") else p.metavar or p.name.upper()
@@ -141,21 +141,21 @@ def test_every_option_of_a_command_has_its_place(made: dict[str, str]) -> None:
                 assert getattr(p, "help", ""), f"{name} {shown} says nothing"
 
 
-def test_every_variable_of_every_kind_of_fmu_has_its_place(made: dict[str, str]) -> None:
+def test_every_variable_of_every_kind_of_fmu_has_its_place(pages: dict[str, str]) -> None:
     """Blocks that the page was not made of: names but for numbers."""
-    shown = set(re.findall(r"^\| `([^`]+)` \|", made["variables"], re.MULTILINE))
+    shown = set(re.findall(r"^\| `([^`]+)` \|", pages["variables"], re.MULTILINE))
     plain = {re.sub(r"\d+", "#", name) for name in shown}
     for kind, block in blocks().items():
         for v in block.table if kind not in ("decay", "loop") else ():
             assert re.sub(r"\d+", "#", v.name) in plain, f"{kind}: {v.name}"
 
 
-def test_every_variable_of_the_environment_has_its_place(made: dict[str, str]) -> None:
+def test_every_variable_of_the_environment_has_its_place(pages: dict[str, str]) -> None:
     code = [p.read_text(encoding="utf-8") for f in FLOORS for p in (ROOT / f).rglob("*.py")]
     read = {name for text in code for name in re.findall(r"environ(?:\.get)?[\[(]\s*\"(\w+)\"", text)}
     read |= {name for text in code for name in re.findall(r"\"(INTERAREA_[A-Z_]+)\"", text)}
     for name in read - {"INTERAREA_GUARDED"}:  # set by one process of ours for another
-        assert f"| `{name}` |" in made["commands"], name
+        assert f"| `{name}` |" in pages["commands"], name
 
 
 def test_spelling() -> None:

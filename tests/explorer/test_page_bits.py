@@ -101,8 +101,8 @@ def assert_same_bits(node: Any, states: list[dict[str, Any]], cache: Path, folde
         rows = native_rows(toml, result["columns"], cache)
         assert len(rows) == 2001 == result["rows"]
         assert np.isfinite(rows).all()
-        here = np.frombuffer((folder / f"{k}.bin").read_bytes()).reshape(rows.shape)
-        worst = np.abs(here - rows).max(axis=0)
+        local = np.frombuffer((folder / f"{k}.bin").read_bytes()).reshape(rows.shape)
+        worst = np.abs(local - rows).max(axis=0)
         same = hashlib.sha256(rows.tobytes()).hexdigest() == result["hash"]
         assert same, (toml, dict(zip(result["columns"], worst, strict=True)))
 

@@ -59,14 +59,14 @@ class Tab:
 
     def __init__(self, browser: Any, page: Path, link: str = "", width: int = 1280, **options: Any) -> None:
         self.said: list[str] = []
-        self.asked: list[str] = []
+        self.requests: list[str] = []
         self.context = browser.new_context(
             viewport={"width": width, "height": 1000}, reduced_motion="reduce", **options
         )
         self.tab = self.context.new_page()
         self.tab.on("console", lambda message: self.said.append(message.text))
         self.tab.on("pageerror", lambda error: self.said.append(str(error)))
-        self.tab.on("request", lambda request: self.asked.append(request.url))
+        self.tab.on("request", lambda request: self.requests.append(request.url))
         self.tab.goto(page.as_uri() + link)
 
     def __enter__(self) -> Any:
@@ -77,7 +77,7 @@ class Tab:
         self.context.close()
         if error[0] is None:
             assert not self.said
-            assert all(url.startswith(("file:", "blob:", "data:")) for url in self.asked), self.asked
+            assert all(url.startswith(("file:", "blob:", "data:")) for url in self.requests), self.requests
 
     def settle(self) -> None:
         """Wait until the exact run of the present state is shown."""

@@ -31,15 +31,15 @@ def test_every_root_in_sight_is_that_of_the_delay_equation(
 ) -> None:
     roots = node([{"roots": state}])[0]
     subject = subject_of("two-area-thesis", cache)
-    made = subject.controllers[state["k"]].scaled(state.get("g", 1.0))
+    controller = subject.controllers[state["k"]].scaled(state.get("g", 1.0))
     plant = speeds_in_rad(subject.linear(subject.points[state.get("op", 0)]), subject.case.omega_b)
     latency_of = {
         signal: state.get(f"{name}.latency", 50.0 if name in ("remote", "local") else 0.0) / 1000.0
         for name, (signal, _) in subject.channels.items()
-        if signal in made.inputs
+        if signal in controller.inputs
     }
     box = roots["box"]
-    ours = rightmost_roots(delayed_loop(plant, made.system, latency_of), right_of=box["left"])
+    ours = rightmost_roots(delayed_loop(plant, controller.system, latency_of), right_of=box["left"])
     inside = [z for z in ours if box["low"] < z.imag < box["high"] and box["left"] < z.real < box["right"]]
     theirs = [complex(*root["s"]) for root in roots["roots"]]
     assert roots["proven"]

@@ -39,9 +39,9 @@ def library(cache: Path) -> ctypes.CDLL:
     return ctypes.CDLL(str(compile_library("print", sources, host_platform(), cache=cache)))
 
 
-def written(function: Callable[..., int], *given: object, size: int = 2000) -> str:
+def written(function: Callable[..., int], *value: object, size: int = 2000) -> str:
     room = ctypes.create_string_buffer(size)
-    length = function(room, ctypes.c_size_t(size), *given)
+    length = function(room, ctypes.c_size_t(size), *value)
     assert len(room.value) == min(length, size - 1)
     return room.value.decode("ascii")
 

@@ -154,10 +154,10 @@ def apply_delta(reference: bytes, changes: bytes) -> bytes:
     """What `undelta` of worker.js does."""
     out, at = bytearray(), 0
     while at < len(changes):
-        start, length, given = struct.unpack_from("<3I", changes, at)
+        start, length, changed = struct.unpack_from("<3I", changes, at)
         at += 12
-        out += reference[start : start + length] + changes[at : at + given]
-        at += given
+        out += reference[start : start + length] + changes[at : at + changed]
+        at += changed
     return bytes(out)
 
 
@@ -199,10 +199,10 @@ def test_only_the_devices_of_the_grid_are_kept() -> None:
     header = devices_file().read_text(encoding="ascii")
     cases = re.findall(r"case DEVICE_NUMBER_(\w+):", header)
     assert len(set(cases)) > 10
-    kept = re.findall(r"case DEVICE_NUMBER_(\w+):", with_devices(header, {"static", "steam"}))
-    assert set(kept) == {"STATIC", "STEAM"}
-    assert len(kept) == cases.count("STATIC") + cases.count("STEAM")
-    lines = header.count("\n") - (len(cases) - len(kept))
+    devices = re.findall(r"case DEVICE_NUMBER_(\w+):", with_devices(header, {"static", "steam"}))
+    assert set(devices) == {"STATIC", "STEAM"}
+    assert len(devices) == cases.count("STATIC") + cases.count("STEAM")
+    lines = header.count("\n") - (len(cases) - len(devices))
     assert with_devices(header, {"static", "steam"}).count("\n") == lines
     with pytest.raises(ValueError, match="NOSUCH"):
         with_devices(header, {"nosuch"})
@@ -255,13 +255,13 @@ def test_a_study_hands_its_own_controllers_over(
     subject = subject_of("two-area-thesis", cache, own)
     assert subject.first == "wdc"
     assert all(subject.controllers[name] is hand_controller for name in own)
-    made_of = {}
+    sources = {}
 
     def block(scenario: Scenario, *, controller: Controller | None, **known: Any) -> Block:
-        made_of[scenario.controller] = controller
+        sources[scenario.controller] = controller
         return container_block(scenario, controller=controller, **known)
 
     monkeypatch.setattr("interarea.cosim.explorer.models.container_block", block)
     models_of(subject)
-    assert all(made_of[name] is hand_controller for name in own)
-    assert made_of["none"] is None and made_of["robust"] is None  # by their names
+    assert all(sources[name] is hand_controller for name in own)
+    assert sources["none"] is None and sources["robust"] is None  # by their names

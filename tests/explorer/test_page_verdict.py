@@ -16,7 +16,7 @@ EDGE = 4 * H
 LIMIT_PU = 0.05
 
 
-def made_up(rng: np.random.Generator) -> dict[str, Any]:
+def random_run(rng: np.random.Generator) -> dict[str, Any]:
     """Return signals of two islands with what decays, stands and grows, and marks on the grid of points."""
     stop = float(rng.choice([4.0, 8.0, 20.0, 60.0]))
     t = np.round(np.arange(0.0, stop + H / 2, H), 10)
@@ -46,11 +46,11 @@ def made_up(rng: np.random.Generator) -> dict[str, Any]:
 
 
 def by_python(one: dict[str, Any]) -> v.Verdict:
-    speeds = [x for some in one["speeds"] for x in some]
+    speeds = [x for span in one["speeds"] for x in span]
     rows, first = [], 0
-    for some in one["speeds"]:
-        rows.append(list(range(first, first + len(some))))
-        first += len(some)
+    for span in one["speeds"]:
+        rows.append(list(range(first, first + len(span))))
+        first += len(span)
     names = [f"G{k}" for k in range(len(speeds))]
     marks = [*one["events"], *one["outages"]]
     motion = v.Motion(names, rows, one["events"], marks, one["stop"], 2.0 * np.pi * 60.0)
@@ -62,11 +62,11 @@ def by_python(one: dict[str, Any]) -> v.Verdict:
 @pytest.mark.slow
 def test_both_give_the_same_verdict_by_the_same_spans(node: Any) -> None:
     rng = np.random.default_rng(7)
-    runs = [made_up(rng) for _ in range(300)]
+    runs = [random_run(rng) for _ in range(300)]
     jobs = [
         {
             "decay": {
-                "speeds": [[x.tolist() for x in some] for some in one["speeds"]],
+                "speeds": [[x.tolist() for x in span] for span in one["speeds"]],
                 "controls": [u.tolist() for u in one["controls"]],
                 "limit": LIMIT_PU,
                 "h": H,

@@ -157,8 +157,8 @@ def stopped(name: str, number: str, files: Path, wait_s: float) -> list[str]:
     mark = uuid.uuid4().hex
     with tempfile.TemporaryDirectory(prefix="signals-") as folder:
         out, own, cache = (Path(folder) / n for n in ("out", "tmp", "cache"))
-        for made in (out, own):
-            made.mkdir()
+        for target in (out, own):
+            target.mkdir()
         surroundings = {**os.environ, _MARK: mark, "TMPDIR": str(own), "PYTHONFAULTHANDLER": "1"}
         if name in EMPTY_CACHE:
             surroundings["INTERAREA_CACHE"] = str(cache)
@@ -284,20 +284,20 @@ def main() -> None:
     parser.add_argument("--command", action="append", choices=COMMANDS)
     parser.add_argument("--signal", action="append", choices=SIGNALS)
     parser.add_argument("--seed", type=int, default=1)
-    given = parser.parse_args()
-    chance, files, total = random.Random(given.seed), Path(tempfile.mkdtemp(prefix="signals-")), 0
+    options = parser.parse_args()
+    chance, files, total = random.Random(options.seed), Path(tempfile.mkdtemp(prefix="signals-")), 0
     try:
         prepare(files)
-        for name in given.command or COMMANDS:
-            for number in given.signal or SIGNALS:
+        for name in options.command or COMMANDS:
+            for number in options.signal or SIGNALS:
                 bad = 0
-                for _ in range(given.times):
+                for _ in range(options.times):
                     wait_s = chance.uniform(0.0, LONGEST_S.get(name, 6.0))
                     if wrong := stopped(name, number, files, wait_s):
                         bad += 1
                         when = f"after {wait_s:.2f} s of processor"
                         print(f"{name} {number} {when}: " + "; ".join(wrong), flush=True)
-                print(f"{name} {number}: {given.times} times, {bad} bad", flush=True)
+                print(f"{name} {number}: {options.times} times, {bad} bad", flush=True)
                 total += bad
     finally:
         shutil.rmtree(files, ignore_errors=True)

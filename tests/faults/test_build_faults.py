@@ -41,7 +41,7 @@ def built(cache: Path, out: Path) -> bytes:
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A cache in which the block's library is compiled."""
     cache = tmp_path_factory.mktemp("cache")
     built(cache, cache.with_name("whole.fmu"))
@@ -51,13 +51,13 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @LONG
 @pytest.mark.slow
 @pytest.mark.parametrize(("folders", "step"), [(("binaries", "zig"), 1), (("zig",), 36)])
-def test_a_build(folders: tuple[str, ...], step: int, made: Path, tmp_path: Path) -> None:
+def test_a_build(folders: tuple[str, ...], step: int, finished: Path, tmp_path: Path) -> None:
     """With the compiled library in the cache, or what the compiler keeps only."""
-    whole, count, reported = made.with_name("whole.fmu").read_bytes(), 0, 0
+    whole, count, reported = finished.with_name("whole.fmu").read_bytes(), 0, 0
     for n in grid(step=step):
         cache, out, fault = tmp_path / f"{n}", tmp_path / f"{n}.fmu", Fault(n, errno.ENOSPC)
-        for folder in (f for f in folders if (made / f).is_dir()):
-            shutil.copytree(made / folder, cache / folder)
+        for folder in (f for f in folders if (finished / f).is_dir()):
+            shutil.copytree(finished / folder, cache / folder)
         try:
             with fault.injected():
                 built(cache, out)

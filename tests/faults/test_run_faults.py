@@ -34,9 +34,9 @@ WITH_A_CASE = {
 
 @pytest.fixture(scope="module")
 def fmus(tmp_path_factory: pytest.TempPathFactory, cache: Path) -> Path:
-    made = tmp_path_factory.mktemp("fmus")
-    build_fmu(decay_block(), made / "x.fmu", cache=cache)
-    return made
+    folder = tmp_path_factory.mktemp("fmus")
+    build_fmu(decay_block(), folder / "x.fmu", cache=cache)
+    return folder
 
 
 @pytest.fixture(autouse=True)

@@ -25,7 +25,7 @@ REFERENCE = [f for f in FMUS if f.tool == "Reference FMUs"]
 MISSING = "cannot open shared object file"
 
 
-def here(fmu: Foreign) -> Path:
+def local_file(fmu: Foreign) -> Path:
     """Return the file of an FMU; skip the test where it was not fetched."""
     if not fmu.there:
         pytest.skip(f"{fmu.file.name} is not in {fmu.file.parent}; tests/foreign/fetch.py fetches it")
@@ -46,7 +46,7 @@ def test_the_corpus_names_enough_tools_and_each_fmu_once() -> None:
 @pytest.mark.parametrize("fmu", FMUS, ids=lambda f: f"{f.tool}-{Path(f.path).stem}")
 def test_runs_or_says_why(fmu: Foreign) -> None:
     """Half a second in a process of its own: all its points, or the one line that corpus.csv has."""
-    file = here(fmu)
+    file = local_file(fmu)
     said, points = "", 0
     try:
         result = System(stop_s=0.5, step_s=0.01).fmu("x", file, isolate=True).run()
@@ -80,6 +80,6 @@ TRUE = {
 @pytest.mark.slow
 @pytest.mark.parametrize("fmu", REFERENCE, ids=lambda f: f"{f.commit[:4]}-{Path(f.path).stem}")
 def test_check_tells_nothing_false_of_reference_fmus(fmu: Foreign) -> None:
-    report = check_file(here(fmu))
+    report = check_file(local_file(fmu))
     assert [f.line() for f in report.findings if f.rule not in TRUE] == []
     assert not any("input" in f.message for f in report.findings), "no input is set where it must not be"

@@ -43,10 +43,10 @@ class Compiler:
 def _works(command: tuple[str, ...], flags: tuple[str, ...]) -> bool:
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "t.c").write_text(_PROGRAM)
-        made = subprocess.run(
+        process = subprocess.run(
             [*command, *flags, "t.c", "-o", "t"], cwd=folder, capture_output=True, check=False
         )
-        if made.returncode != 0:
+        if process.returncode != 0:
             return False
         return subprocess.run([f"{folder}/t"], capture_output=True, check=False).returncode == 0
 
@@ -111,18 +111,18 @@ def _object(name: str, folder: Path, compiler: Compiler, level: str) -> Path:
     command = [*compiler.command, "-std=gnu99", "-g", level, "-ffp-contract=off", *compiler.flags, "-I."]
     text = _compiled([*command, "-E", name], folder)
     assert text.returncode == 0, text.stderr[-4000:]
-    kept = Path(os.environ["INTERAREA_CACHE"], "fuzz-objects") if "INTERAREA_CACHE" in os.environ else folder
+    store = Path(os.environ["INTERAREA_CACHE"], "fuzz-objects") if "INTERAREA_CACHE" in os.environ else folder
     anywhere = re.sub(r'(?m)^# \d+ ".*//"$', "", text.stdout)
-    made = kept / f"{hashlib.sha256(repr(command).encode() + anywhere.encode()).hexdigest()}.o"
-    if not made.exists():
-        kept.mkdir(parents=True, exist_ok=True)
+    target = store / f"{hashlib.sha256(repr(command).encode() + anywhere.encode()).hexdigest()}.o"
+    if not target.exists():
+        store.mkdir(parents=True, exist_ok=True)
         done = _compiled([*command, "-c", name, "-o", f"{name}.o"], folder)
         assert done.returncode == 0, done.stderr[-4000:]
         # whole or not at all: another worker may look at the same time
-        unfinished = made.with_suffix(f".{os.getpid()}")
+        unfinished = target.with_suffix(f".{os.getpid()}")
         shutil.copy(folder / f"{name}.o", unfinished)
-        unfinished.replace(made)
-    return made
+        unfinished.replace(target)
+    return target
 
 
 def _compiled(command: list[str], folder: Path) -> subprocess.CompletedProcess[str]:

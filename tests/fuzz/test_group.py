@@ -59,7 +59,7 @@ def test_a_seeded_mistake_is_found(
         return files
 
     monkeypatch.setattr(fuzz_build, "gather_sources", changed)
-    made = build_driver(
+    driver = build_driver(
         fuzz_block("plant", cache),
         ("group_steps.c",),
         plain_compiler(),
@@ -67,4 +67,4 @@ def test_a_seeded_mistake_is_found(
         of_binary=group_sources(),
     )
     with pytest.raises(AssertionError, match="broken"):
-        made.run(1, ROUNDS, 2)
+        driver.run(1, ROUNDS, 2)

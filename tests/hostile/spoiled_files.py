@@ -183,15 +183,15 @@ def spoiled_files(seed: int = 46, each: int = 5) -> Iterator[Spoiled]:
     for file, good in GOOD.items():
         lines = good.splitlines()
         for kind, (spoil, value) in KINDS.items():
-            made: set[tuple[int, str]] = set()
+            spots: set[tuple[int, str]] = set()
             for _ in range(20 * each):
                 k = rng.randrange(0 if file != "raw" else 3, len(lines))
                 now = spoil(lines[k], rng)
-                if now is None or now == lines[k] or (k, now) in made or len(made) >= each:
+                if now is None or now == lines[k] or (k, now) in spots or len(spots) >= each:
                     continue
-                made.add((k, now))
+                spots.add((k, now))
                 text = "\n".join([*lines[:k], now, *lines[k + 1 :]]) + "\n"
-                yield Spoiled(f"{file} {kind} {len(made)}", file, k + 1, lines[k], now, text, value)
+                yield Spoiled(f"{file} {kind} {len(spots)}", file, k + 1, lines[k], now, text, value)
         for kind in WHOLE_LINES:
             first = 3 if file == "raw" else 1
             for j, k in enumerate(

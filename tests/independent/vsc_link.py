@@ -60,7 +60,7 @@ class Link:
         """Its state at rest, v = 1: currents of both ends, measured voltages, v, three integrals."""
         out = self.dc_current(self.P, 1.0) - self.loss[1]
         one, other = (e.at_rest(p, q) for e, p, q in zip(self.ends, (-self.P, out), self.Q, strict=True))
-        self.kept = (one[0], other[0])
+        self.start_difference = (one[0], other[0])
         return np.array([*one[1:], *other[1:], one[0], other[0], 1.0, other[1], one[2], other[2]])
 
     def run(self, fault: tuple[int, float, float, float], times: np.ndarray) -> np.ndarray:
@@ -97,11 +97,11 @@ class Link:
         dy[6] = surplus / self.C
         # orders: what each end wants, then the limit
         part = min(max((v - g["low"]) / (g["full"] - g["low"]), 0.0), 1.0)
-        kept = g["dc_gain"] * (v - 1.0) + z
+        order = g["dc_gain"] * (v - 1.0) + z
         for k, side in enumerate(sides):
             volts = y[4 + k]
-            active = -self.P / volts if k == 0 else kept
-            off = self.kept[k] - volts
+            active = -self.P / volts if k == 0 else order
+            off = self.start_difference[k] - volts
             reactive = g["gain"] * off + w[k] if side.holds == "v" else self.Q[k] / volts
             most = [side.limit, side.limit]
             if side.first == "p":

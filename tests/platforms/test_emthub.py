@@ -85,10 +85,10 @@ def by_dll(path: Path, step_s: float, dip: float) -> np.ndarray:
 
 def by_device(step_s: float, parts: int, dip: float) -> np.ndarray:
     """Field voltage of our `scrx` with the same parameters, its input along lines between the calls."""
-    given = {"TA_TB": 0.1, "TB": 10.0, "K": 100.0, "TE": 0.05, "EMIN": -5.0, "EMAX": 5.0, "CSWITCH": 1.0}
-    given |= {"RC_RFD": 0.0, "MBASE": 100.0, "FBASE": 60.0}
+    parameters = {"TA_TB": 0.1, "TB": 10.0, "K": 100.0, "TE": 0.05, "EMIN": -5.0, "EMAX": 5.0, "CSWITCH": 1.0}
+    parameters |= {"RC_RFD": 0.0, "MBASE": 100.0, "FBASE": 60.0}
     inputs = {"vc": 1.0, "vt": 1.0, "vs": 0.0, "ifd": 1.0}
-    rest = rest_of(library()["scrx"], given, inputs, 1.0, "scrx")
+    rest = rest_of(library()["scrx"], parameters, inputs, 1.0, "scrx")
     x, rows, h = np.array(rest.states), [1.0], step_s / parts
 
     def rates(x: np.ndarray, v: float) -> np.ndarray:

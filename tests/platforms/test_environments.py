@@ -18,7 +18,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-WANTED = [*PROJECT["dependencies"], *PROJECT["optional-dependencies"]["build"]]
+REQUIREMENTS = [*PROJECT["dependencies"], *PROJECT["optional-dependencies"]["build"]]
 #: what a first day does; each ends with exit code 0
 COMMANDS = (
     "run lost-signal --out run",
@@ -33,11 +33,11 @@ pytestmark = [pytest.mark.slow, pytest.mark.timeout(3600)]
 
 def requirements(end: str) -> list[str]:
     """Return what pip is asked for; ">=" of the lowest end becomes "==", which pads with zeros."""
-    return [name.replace(">=", "==") for name in WANTED] if end == "lowest" else WANTED
+    return [name.replace(">=", "==") for name in REQUIREMENTS] if end == "lowest" else REQUIREMENTS
 
 
 def test_every_dependency_has_a_lower_bound() -> None:
-    assert all(re.fullmatch(r"[a-z0-9-]+>=[0-9.]+", name) for name in WANTED)
+    assert all(re.fullmatch(r"[a-z0-9-]+>=[0-9.]+", name) for name in REQUIREMENTS)
 
 
 @pytest.mark.parametrize("end", ["lowest", "newest"])

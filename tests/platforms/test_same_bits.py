@@ -134,14 +134,14 @@ def program(source: Path, to: Platform, headers: Path, folder: Path, cache: Path
 
     With the flags of FMUs and DLLs: then zig finds the platform's libraries that it made for those.
     """
-    compiled, made = (folder / f"{source.stem}-{to.name}.{end}" for end in ("o", "exe"))
+    compiled, linked = (folder / f"{source.stem}-{to.name}.{end}" for end in ("o", "exe"))
     runtime = ["-rtlib=none"] if to.suffix == ".so" else []  # of zig, of which no line is needed
     for words in (
         ["-c", f"-I{headers}", str(source), "-o", str(compiled)],
-        ["-Wl,-s", *runtime, str(compiled), "-o", str(made)],
+        ["-Wl,-s", *runtime, str(compiled), "-o", str(linked)],
     ):
         zig_cc([*FMU_FLAGS, *words], cache, to.targets[0])
-    return made
+    return linked
 
 
 def printed(name: str, fmu: Path, driver: Path, folder: Path, inputs: Mapping[str, float]) -> list[str]:
@@ -176,9 +176,9 @@ def test_every_state_and_output_has_the_same_bits(
     name: str, member: str, fmus: dict[str, Path], drivers: dict[str, Path], folder: Path
 ) -> None:
     inputs = INPUTS.get(member, {})
-    here = printed("linux64", fmus[member], drivers["linux64"], folder, inputs)
+    local = printed("linux64", fmus[member], drivers["linux64"], folder, inputs)
     there = printed(name, fmus[member], drivers[name], folder, inputs)
-    assert len(here) == COUNT + 1
-    assert len(set(here)) > 20  # something happens
-    different = [k for k, (a, b) in enumerate(zip(here, there, strict=True)) if a != b]
+    assert len(local) == COUNT + 1
+    assert len(set(local)) > 20  # something happens
+    different = [k for k, (a, b) in enumerate(zip(local, there, strict=True)) if a != b]
     assert not different, f"first difference after {different[0] * STEP:g} s"

@@ -60,8 +60,8 @@ def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     venv.create(folder, with_pip=False)
     names = {"base": str(folder), "platbase": str(folder)}
     site = Path(sysconfig.get_path("purelib", "venv", vars=names))
-    kept = {Path(p).resolve() for p in sys.path if Path(p).name in ("site-packages", "dist-packages")}
-    for entry in (e for place in kept for e in place.iterdir()):
+    folders = {Path(p).resolve() for p in sys.path if Path(p).name in ("site-packages", "dist-packages")}
+    for entry in (e for place in folders for e in place.iterdir()):
         if (
             not entry.name.startswith(LEFT_OUT)
             and entry.suffix != ".pth"
@@ -76,8 +76,8 @@ def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def call(installed: Path, folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
     """Run `interarea` of the wheel in `folder`: no compiler in PATH, a cache that is empty at first."""
-    kept = {k: v for k, v in os.environ.items() if k not in ("CC", "PYTHONPATH", "INTERAREA_CACHE")}
-    environment = {**kept, "PATH": str(installed), "INTERAREA_CACHE": str(folder / "cache")}
+    variables = {k: v for k, v in os.environ.items() if k not in ("CC", "PYTHONPATH", "INTERAREA_CACHE")}
+    environment = {**variables, "PATH": str(installed), "INTERAREA_CACHE": str(folder / "cache")}
     command = [str(installed / "interarea"), *words]
     return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
 

@@ -288,8 +288,8 @@ def test_a_case_written_out_has_the_same_operating_point(
         export_toml(changed, Path(folder) / "case.toml")
         loaded: Case = load_case(Path(folder) / "case.toml")
     assert loaded.hash == changed.hash and (loaded.title, loaded.source) == (changed.title, changed.source)
-    here, there = operating_point(changed), operating_point(loaded)
-    assert list(here.x0) == list(there.x0)
+    original, there = operating_point(changed), operating_point(loaded)
+    assert list(original.x0) == list(there.x0)
 
 
 def test_what_is_spoilt_here_is_sound(cache: Path) -> None:

@@ -52,9 +52,9 @@ def test_the_stabilizer_needed_at_a_pole_is_the_one_that_puts_it_there(cache):
     plant = linear(load_case("kundur-thyristor"), cache)
     with_stabilizers = modes(load_case("kundur-pss"), cache)
     for mode in with_stabilizers.values():
-        given = book_readings.stabilizer_of_the_book(mode.eigenvalue)
-        needed = book_readings.stabilizer_needed(plant, mode.eigenvalue, given)
-        assert needed == pytest.approx(given, rel=1e-6)
+        gain = book_readings.stabilizer_of_the_book(mode.eigenvalue)
+        needed = book_readings.stabilizer_needed(plant, mode.eigenvalue, gain)
+        assert needed == pytest.approx(gain, rel=1e-6)
 
 
 def test_no_printed_mode_of_the_stabilized_row_is_the_stabilizer_s(cache):
@@ -62,12 +62,12 @@ def test_no_printed_mode_of_the_stabilized_row_is_the_stabilizer_s(cache):
     plant = linear(load_case("kundur-thyristor"), cache)
     ratio = []
     for pole in book_readings.printed("kundur-pss"):
-        given = book_readings.stabilizer_of_the_book(pole)
-        ratio.append(book_readings.stabilizer_needed(plant, pole, given) / given)
+        gain = book_readings.stabilizer_of_the_book(pole)
+        ratio.append(book_readings.stabilizer_needed(plant, pole, gain) / gain)
         # half a unit of the last digits moves the answer by at most a hundredth
         for step in (5e-4, 5e-3j):
-            moved = book_readings.stabilizer_needed(plant, pole + step, given)
-            assert abs(moved / given - ratio[-1]) < 0.01
+            moved = book_readings.stabilizer_needed(plant, pole + step, gain)
+            assert abs(moved / gain - ratio[-1]) < 0.01
     lead = np.degrees(np.angle(ratio))
     assert lead == pytest.approx([7.05, -0.96, -0.96], abs=0.05)
     assert np.abs(ratio) == pytest.approx([0.997, 0.957, 0.954], abs=1e-3)

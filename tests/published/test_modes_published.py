@@ -31,14 +31,14 @@ def with_impedance_loads(case: Case) -> Case:
 @pytest.fixture(scope="module")
 def linear(cache):
     """Linear models of the FMUs by case, made once."""
-    made: dict[tuple[str, bool], control.StateSpace] = {}
+    models: dict[tuple[str, bool], control.StateSpace] = {}
 
     def make(name: str, *, impedance: bool = False) -> control.StateSpace:
-        if (name, impedance) not in made:
+        if (name, impedance) not in models:
             case = with_impedance_loads(load_case(name)) if impedance else load_case(name)
             with open_plant(plant_fmu(case, cache)) as plant:
-                made[name, impedance] = linearise(plant)
-        return made[name, impedance]
+                models[name, impedance] = linearise(plant)
+        return models[name, impedance]
 
     return make
 
@@ -71,10 +71,10 @@ def test_every_eigenvalue_of_table_e12_3(linear):
         real = printed.approx_printed(row["real"], row.get("gap", {}).get("real"))
         digits = "0.000" if row["imag"] == "0" else row["imag"]
         imag = printed.approx_printed(digits, row.get("gap", {}).get("imag"))
-        here = [e for e in left if e.real == real and e.imag == imag]
+        equal = [e for e in left if e.real == real and e.imag == imag]
         count = 1 if row["imag"] == "0" else 2
-        assert len(here) == count, (row, left)
-        left = [e for e in left if e not in here]
+        assert len(equal) == count, (row, left)
+        left = [e for e in left if e not in equal]
     assert not left
 
 

@@ -57,11 +57,11 @@ def test_words_that_are_no_time_are_refused(keys: dict[str, Any], said: str) -> 
 
 def test_a_loss_may_be_a_number() -> None:
     line = {"signal": "G2_dw", "reporting_interval_s": 0.02}
-    made = [
+    scenarios = [
         load_scenario(scenario(channels={"r": {**line, "loss": loss}})).channels["r"]
         for loss in (0.1, {"kind": "bernoulli", "rate": 0.1})
     ]
-    assert made[0] == made[1]
+    assert scenarios[0] == scenarios[1]
     for wrong in (1.5, True, "0.1"):
         with pytest.raises(ScenarioError, match="loss"):
             load_scenario(scenario(channels={"r": {**line, "loss": wrong}}))

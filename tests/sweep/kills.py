@@ -181,9 +181,9 @@ def main() -> None:
         print(f"undisturbed: {len(expected)} runs", flush=True)
         total: Counter[str] = Counter()
         begin, sweeps = time.monotonic(), 0
-        while (made := sum(total[kind] for kind in KINDS)) < options.kills:
+        while (count := sum(total[kind] for kind in KINDS)) < options.kills:
             folder = root / f"out-{sweeps}"
-            total += disturb(file, folder, options.kills - made, chance, longest_s=options.longest)
+            total += disturb(file, folder, options.kills - count, chance, longest_s=options.longest)
             check(folder, expected)
             shutil.rmtree(folder)
             sweeps += 1

@@ -38,12 +38,12 @@ def together_work(
     in_progress = InProgress(shared)
     while (runs := pipe.recv()) is not None:
         for k in range(0, len(runs), 3):
-            some = runs[k : k + 3]
-            in_progress.build(*some)
+            group = runs[k : k + 3]
+            in_progress.build(*group)
             in_progress.start()
-            if 4 in some:
+            if 4 in group:
                 os.kill(os.getpid(), signal.SIGSEGV)
-            pipe.send(("rows", [Outcome(start_row(run, {})) for run in some]))
+            pipe.send(("rows", [Outcome(start_row(run, {})) for run in group]))
         in_progress.build()
         pipe.send(("done",))
 

@@ -104,9 +104,13 @@ def test_a_click_on_a_cell_opens_its_run(finished: Any, cache: Path, tmp_path: P
     assert [x["why"] for x in opened] == [""] * len(addresses)
     saved = _by_node([{"toml": x["state"]} for x in opened], tmp_path)
     for run, words in zip(addresses.values(), saved, strict=True):
-        there, here = load_scenario(tomllib.loads(words)), point_of(sweep, sweep.values(run)).scenario
-        assert (there.controller, there.stop_s, there.event) == (here.controller, here.stop_s, here.event)
-        for name, channel in here.channels.items():
+        there, expected = load_scenario(tomllib.loads(words)), point_of(sweep, sweep.values(run)).scenario
+        assert (there.controller, there.stop_s, there.event) == (
+            expected.controller,
+            expected.stop_s,
+            expected.event,
+        )
+        for name, channel in expected.channels.items():
             nothing = {"loss_good": 0.0}  # what a loss of rate 0 says, and no loss leaves out
             opened_as = nothing | there.channels[name].parameters(name)
             assert opened_as == nothing | channel.parameters(name), run

@@ -22,7 +22,7 @@ from interarea.models.case.events import event_of
 CASE = "two-area-thesis"
 
 
-def made_up(case, *, buses: bool = True) -> Trajectory:
+def sample_curves(case, *, buses: bool = True) -> Trajectory:
     """Angles, speeds and voltages that are known."""
     time = np.array([0.0, 0.5, 0.5, 1.0, 2.0])
     columns = {"time_s": time}
@@ -37,27 +37,27 @@ def made_up(case, *, buses: bool = True) -> Trajectory:
 
 def test_extremes_of_a_run_are_those_of_its_curves() -> None:
     case = load_case(CASE)
-    result = largest_deviation_of(made_up(case), case, 0.5)
+    result = largest_deviation_of(sample_curves(case), case, 0.5)
     assert result.angle_deg == pytest.approx(np.degrees(3 * 0.9)) and result.synchronous
     last = case.buses[-1]
     assert result.voltage_pu == pytest.approx(0.8 - 0.01 * (len(case.buses) - 1))
     assert result.voltage_at == f"bus{last.number}"
     assert result.nadir_hz == pytest.approx(case.frequency_hz * 0.98)
     assert result.zenith_hz == pytest.approx(case.frequency_hz * 1.04)
-    without = largest_deviation_of(made_up(case, buses=False), case, 0.5)
+    without = largest_deviation_of(sample_curves(case, buses=False), case, 0.5)
     assert (without.voltage_pu, without.voltage_at) == (pytest.approx(0.87), case.machines[-1].name)
 
 
 def test_a_tripped_machine_does_not_count() -> None:
     case = load_case(CASE)
     table = {"kind": "machine_trip", "machine": case.machines[-1].name, "start_s": 0.5}
-    result = largest_deviation_of(made_up(case), case, 0.5, [event_of(table, where="event 1")])
+    result = largest_deviation_of(sample_curves(case), case, 0.5, [event_of(table, where="event 1")])
     assert result.angle_deg == pytest.approx(np.degrees(1.8))
 
 
 def test_half_a_turn_is_out_of_step() -> None:
     case = load_case(CASE)
-    curves = made_up(case)
+    curves = sample_curves(case)
     curves._columns[f"plant.{case.machines[-1].name}_delta"] = np.array([0.0, 0.0, 0.0, np.pi, 0.0])
     assert not largest_deviation_of(curves, case, 0.5).synchronous
 
@@ -121,19 +121,19 @@ def test_page_and_files_hold_what_was_found(screening: tuple[list[Screened], Pat
 
 def test_order_lost_failed_kept(screening: tuple[list[Screened], Path]) -> None:
     pd = pytest.importorskip("pandas")
-    kept = {"status": "ok", "failure": None, "reason": None, "voltage_at": "bus1"}
-    kept |= dict.fromkeys(("voltage_pu", "nadir_hz", "zenith_hz"), 1.0)
+    row = {"status": "ok", "failure": None, "reason": None, "voltage_at": "bus1"}
+    row |= dict.fromkeys(("voltage_pu", "nadir_hz", "zenith_hz"), 1.0)
     none = dict.fromkeys(("synchronous", "angle_deg", "voltage_pu", "voltage_at", "nadir_hz", "zenith_hz"))
     rows = pd.DataFrame(
         [
-            {"bus": 1, "controller": "robust", "synchronous": False, "angle_deg": 500.0, **kept},
-            {"bus": 1, "controller": "none", "synchronous": True, "angle_deg": 50.0, **kept},
-            {"bus": 2, "controller": "none", "synchronous": True, "angle_deg": 60.0, **kept},
+            {"bus": 1, "controller": "robust", "synchronous": False, "angle_deg": 500.0, **row},
+            {"bus": 1, "controller": "none", "synchronous": True, "angle_deg": 50.0, **row},
+            {"bus": 2, "controller": "none", "synchronous": True, "angle_deg": 60.0, **row},
             {"bus": 3, "controller": "none", **none, "status": "failed", "failure": "invalid",
              "reason": "why"},
             {"bus": 4, "controller": "none", **none, "status": "failed", "failure": "no solution",
              "reason": "network: bus 4"},
-            {"bus": 5, "controller": "none", "synchronous": False, "angle_deg": 200.0, **kept},
+            {"bus": 5, "controller": "none", "synchronous": False, "angle_deg": 200.0, **row},
         ]
     )  # fmt: skip
     order = worst_first(rows, SCREENING, {})
@@ -144,12 +144,12 @@ def test_order_lost_failed_kept(screening: tuple[list[Screened], Path]) -> None:
 
 
 def test_trips_outages_and_controllers_become_axes() -> None:
-    made = Screening(CASE, kind="trip", outages=("8-9 a",), controllers=("robust",)).sweep()
+    sweep = Screening(CASE, kind="trip", outages=("8-9 a",), controllers=("robust",)).sweep()
     case = load_case(CASE)
-    assert made.size == 2 * 2 * len(case.branches)
-    assert made.base.event[0].kind == "branch_trip"
-    assert {v["controller"] for v in map(made.values, range(made.size))} == {"none", "robust"}
-    assert {v["outage"] for v in map(made.values, range(made.size))} == {"", "8-9 a"}
+    assert sweep.size == 2 * 2 * len(case.branches)
+    assert sweep.base.event[0].kind == "branch_trip"
+    assert {v["controller"] for v in map(sweep.values, range(sweep.size))} == {"none", "robust"}
+    assert {v["outage"] for v in map(sweep.values, range(sweep.size))} == {"", "8-9 a"}
 
 
 @pytest.mark.parametrize(

@@ -99,9 +99,9 @@ class Cluster:
 
 @pytest.fixture
 def cluster(tmp_path: Path) -> Iterator[Cluster]:
-    made = Cluster(tmp_path)
-    yield made
-    made.close()
+    cluster = Cluster(tmp_path)
+    yield cluster
+    cluster.close()
 
 
 def _outcomes(document: Any, cache: Path, address: str, **options: Any) -> Iterator[list[Any]]:
@@ -162,8 +162,8 @@ def test_a_scheduler_that_is_restarted_loses_nothing(
     cluster.start_worker()
     rows: dict[int, Any] = {}
     restarted = False
-    for some in _outcomes(document, cache, cluster.address, task=2, patience_s=120.0):
-        for outcome in some:
+    for batch in _outcomes(document, cache, cluster.address, task=2, patience_s=120.0):
+        for outcome in batch:
             assert outcome.row["run"] not in rows
             rows[outcome.row["run"]] = outcome.row
         if rows and not restarted:
@@ -269,8 +269,8 @@ def test_two_hosts_one_of_which_is_cut_off(
             cluster.start_worker(["ip", "netns", "exec", name])
         rows: dict[int, Any] = {}
         cut = False
-        for some in _outcomes(document, cache, cluster.address, task=1, patience_s=120.0):
-            rows |= {o.row["run"]: o.row for o in some}
+        for batch in _outcomes(document, cache, cluster.address, task=1, patience_s=120.0):
+            rows |= {o.row["run"]: o.row for o in batch}
             if rows and not cut:
                 _ip("link", "set", f"{bridge}h3", "down")
                 cut = True

@@ -118,9 +118,9 @@ def test_the_same_rows_whatever_the_workers_and_the_folder_says_how_many_were_fo
 
 
 def test_only_what_acts_later_is_shared(document: Any) -> None:
-    given = {"size": SIZES, "outage": OUTAGES, "seed": SEEDS, "all": {"path": "channels.*.latency_s"}}
-    given["all"]["values"] = [0.1]
-    sweep = load_sweep(document({"event": [FAULT, PULSE]}, parameters=given))
+    axes = {"size": SIZES, "outage": OUTAGES, "seed": SEEDS, "all": {"path": "channels.*.latency_s"}}
+    axes["all"]["values"] = [0.1]
+    sweep = load_sweep(document({"event": [FAULT, PULSE]}, parameters=axes))
     assert late_parameters(sweep) == {"size", "outage"}
     search = {"path": "controller.gain", "bisect": {"low": 1.0, "high": 2.0, "tolerance": 0.1}}
     sweep = load_sweep(document({"event": [FAULT, PULSE]}, parameters={"size": SIZES, "gain": search}))
@@ -134,9 +134,9 @@ actions = st.lists(st.tuples(st.sampled_from([1.0, 2.0, 3.0, 4.0]), st.sampled_f
 
 @pytest.mark.slow
 @given(st.lists(actions, min_size=3, max_size=3))
-def test_the_time_until_which_runs_are_alike_is_an_ultrametric(given_acts: list[Any]) -> None:
+def test_the_time_until_which_runs_are_alike_is_an_ultrametric(acts: list[Any]) -> None:
     point: Any = Point  # a run that has one; its content does not matter here
-    a, b, c = (Job(k, {}, point, (), actions) for k, actions in enumerate(given_acts))
+    a, b, c = (Job(k, {}, point, (), actions) for k, actions in enumerate(acts))
     assert shared_until_s(a, b) == shared_until_s(b, a)
     assert shared_until_s(a, c) >= min(shared_until_s(a, b), shared_until_s(b, c))
     until = shared_until_s(a, b)

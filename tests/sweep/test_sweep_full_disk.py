@@ -73,8 +73,8 @@ def test_a_disk_that_fills_up_ends_the_sweep_with_all_that_was_written_and_room_
     run_sweep(sweep_of(document), disk / "out", workers=1, cache=cache)
     rows = read_rows(disk / "out")
     assert list(rows.run) == list(range(60))
-    kept = rows[rows.run.isin(written.run)].reset_index(drop=True)
-    pd.testing.assert_frame_equal(kept, written, check_exact=True)
+    retained = rows[rows.run.isin(written.run)].reset_index(drop=True)
+    pd.testing.assert_frame_equal(retained, written, check_exact=True)
 
 
 @pytest.mark.slow

@@ -57,15 +57,15 @@ def test_kills_at_random_times_leave_every_row_once(tmp_path: Path) -> None:
     file = tmp_path / "sweep.toml"
     file.write_text(kills.SWEEP.format(losses=4), encoding="utf-8")
     expected = kills.undisturbed(file)
-    chance, made, longest_s = random.Random(2), Counter[str](), 2.0
+    chance, counts, longest_s = random.Random(2), Counter[str](), 2.0
     for k in range(12):  # however quick the machine is: kills come sooner until there are enough
-        left = 10 - sum(made[kind] for kind in kills.KINDS)
+        left = 10 - sum(counts[kind] for kind in kills.KINDS)
         if not left:
             break
-        made += kills.disturb(file, tmp_path / str(k), left, chance, longest_s=longest_s)
+        counts += kills.disturb(file, tmp_path / str(k), left, chance, longest_s=longest_s)
         kills.check(tmp_path / str(k), expected)
         longest_s /= 2.0
-    assert sum(made[kind] for kind in kills.KINDS) >= 10 and all(made[kind] for kind in kills.KINDS)
+    assert sum(counts[kind] for kind in kills.KINDS) >= 10 and all(counts[kind] for kind in kills.KINDS)
 
 
 def test_a_run_that_kills_its_worker_or_hangs_is_a_row(
@@ -75,7 +75,7 @@ def test_a_run_that_kills_its_worker_or_hangs_is_a_row(
     monkeypatch.setattr(sweep_local, "_GRACE_S", 0.5)
     plan = plan_sweep(load_sweep(document(time_limit_s=0.1)), cache)
     outcomes = sweep_local.local_outcomes(plan, range(6), cache=cache, scratch=tmp_path, workers=1, task=6)
-    rows = {o.row["run"]: o.row for some in outcomes for o in some}
+    rows = {o.row["run"]: o.row for batch in outcomes for o in batch}
     assert sorted(rows) == [0, 1, 2, 3, 4, 5]
     assert [rows[k]["failure"] for k in range(6)] == [None, None, "worker died", None, "time limit", None]
     assert "SIGSEGV" in rows[2]["reason"]
@@ -87,7 +87,7 @@ def test_of_runs_under_way_together_only_the_one_that_kills_the_worker_fails(
     monkeypatch.setattr(sweep_local, "work", stand_ins.together_work)
     plan = plan_sweep(load_sweep(document()), cache)
     outcomes = sweep_local.local_outcomes(plan, range(9), cache=cache, scratch=tmp_path, workers=2, task=6)
-    rows = [o.row for some in outcomes for o in some]
+    rows = [o.row for batch in outcomes for o in batch]
     assert sorted(row["run"] for row in rows) == list(range(9))
     assert [(row["run"], row["failure"]) for row in rows if row["failure"]] == [(4, "worker died")]
 
@@ -117,12 +117,12 @@ def test_a_server_that_is_just_being_killed_is_waited_for(
     monkeypatch.setattr(sweep_local.time, "sleep", waited.append)
     monkeypatch.setattr(sweep_local, "work", stand_ins.together_work)
     plan = plan_sweep(load_sweep(document()), cache)
-    given = {"cache": cache, "scratch": tmp_path, "workers": 1, "task": 6}
-    outcomes = sweep_local.local_outcomes(plan, range(3), **given)
-    assert [o.row["run"] for some in outcomes for o in some] == [0, 1, 2]
+    options = {"cache": cache, "scratch": tmp_path, "workers": 1, "task": 6}
+    outcomes = sweep_local.local_outcomes(plan, range(3), **options)
+    assert [o.row["run"] for batch in outcomes for o in batch] == [0, 1, 2]
     waited[:] = [-1e9]
     with pytest.raises(SweepError, match="its server exits each time"):
-        list(sweep_local.local_outcomes(plan, range(3), **given))
+        list(sweep_local.local_outcomes(plan, range(3), **options))
 
 
 # -- the store ----------------------------------------------------------------------------

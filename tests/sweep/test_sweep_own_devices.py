@@ -37,8 +37,8 @@ def tables(document: Any, tmp_path: Path) -> dict[str, dict[str, Any]]:
             f'base = "two-area-thesis"\nname = "grid"\n[change]\n{first}[change.machines.defaults]\n'
             f'exciter = {{ kind = "{kind}", KA = 200.0, TA = 0.001, TR = 0.01 }}\n'
         )
-    made = {k: document({"case": str(tmp_path / "grid" / f"{k}.toml")}) for k in ("static", "mine")}
-    return {k: table | {"parameters": PARAMETERS} for k, table in made.items()}
+    documents = {k: document({"case": str(tmp_path / "grid" / f"{k}.toml")}) for k in ("static", "mine")}
+    return {k: table | {"parameters": PARAMETERS} for k, table in documents.items()}
 
 
 @pytest.mark.slow
@@ -61,7 +61,7 @@ def test_rows_are_those_of_the_package_in_one_process_and_in_others(
     (tmp_path / "scratch").mkdir()
     with Runner(again, cache, tmp_path / "scratch") as runner:
         rows = sorted((o.row for o in runner.outcomes(range(4))), key=lambda row: row["run"])
-        plants = [kept.participants["plant"] for kept in runner._kept.values()]
+        plants = [system.participants["plant"] for system in runner._kept.values()]
         if runner.lanes > 1:
             assert all(p.group is not None and p.group is not runner.library for p in plants)
     result = pd.DataFrame(rows)[["run", "damping_inter_area", "peak_pu", "energy_pu2s"]]

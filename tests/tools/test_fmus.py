@@ -62,7 +62,7 @@ def fmus(members: dict[str, Member], tmp_path_factory: pytest.TempPathFactory) -
 
 
 @pytest.fixture(scope="module")
-def wanted(fmus: dict[str, Path]) -> dict[str, dict[str, Array]]:
+def expected(fmus: dict[str, Path]) -> dict[str, dict[str, Array]]:
     """Return the outputs of each FMU at the communication points, stepped by hand call by call."""
     return {kind: _stepped(fmus[kind], OUTPUTS[kind]) for kind in fmus}
 
@@ -89,18 +89,18 @@ def test_tool_gives_what_the_calls_give(
     driver: str,
     kind: str,
     fmus: dict[str, Path],
-    wanted: dict[str, dict[str, Array]],
+    expected: dict[str, dict[str, Array]],
     run_tool: RunTool,
 ) -> None:
     """No connection, no delay: the same numbers to rounding (tools add up time in floats)."""
     trajectory = run_tool(driver, fmus[kind], STEP, STOP, OUTPUTS[kind])
-    for name, values in wanted[kind].items():
+    for name, values in expected[kind].items():
         assert np.ptp(values) > 0.0
         assert np.allclose(trajectory[name], values, rtol=0.0, atol=1e-11), name
 
 
 @pytest.mark.parametrize("kind", ["plant", "controller", "channel"])
-def test_fmpy_co_simulation(kind: str, fmus: dict[str, Path], wanted: dict[str, dict[str, Array]]) -> None:
+def test_fmpy_co_simulation(kind: str, fmus: dict[str, Path], expected: dict[str, dict[str, Array]]) -> None:
     result = fmpy.simulate_fmu(
         str(fmus[kind]),
         fmi_type="CoSimulation",
@@ -109,13 +109,13 @@ def test_fmpy_co_simulation(kind: str, fmus: dict[str, Path], wanted: dict[str, 
         output_interval=STEP,
         output=OUTPUTS[kind],
     )
-    for name, values in wanted[kind].items():
+    for name, values in expected[kind].items():
         assert np.allclose(result[name][1:], values, rtol=0.0, atol=1e-11), name
 
 
 @pytest.mark.parametrize("kind", ["plant", "controller"])
 def test_fmpy_model_exchange_with_cvode(
-    kind: str, fmus: dict[str, Path], wanted: dict[str, dict[str, Array]]
+    kind: str, fmus: dict[str, Path], expected: dict[str, dict[str, Array]]
 ) -> None:
     """Another integrator on the same equations: equal to CVode's tolerance, not to rounding."""
     result = fmpy.simulate_fmu(
@@ -130,7 +130,7 @@ def test_fmpy_model_exchange_with_cvode(
     times, last = np.unique(np.round(result["time"], 9)[::-1], return_index=True)
     rows = len(result) - 1 - last  # after an event, where a time comes twice
     at = np.searchsorted(times, np.round(np.arange(1, round(STOP / STEP) + 1) * STEP, 9))
-    for name, values in wanted[kind].items():
+    for name, values in expected[kind].items():
         difference = result[name][rows][at] - values
         assert np.max(np.abs(difference)) <= 1e-5 * np.ptp(values), name
 

@@ -36,21 +36,21 @@ def test_the_json_holds_what_the_table_has(interarea) -> None:  # type: ignore[n
 @pytest.mark.slow
 def test_modes_with_a_late_controller(interarea) -> None:  # type: ignore[no-untyped-def]
     """The inter-area mode of the certificate's row (band up to 0.747 Hz), 200 ms late, to its digits."""
-    given = ("new-england", "--band", "0.3:0.74", "--below", "0.3", "--controller", "new_england")
-    given = (*given, "--latency", "0.2")
-    document = json.loads(interarea("modes", *given, "--json")[1])
+    arguments = ("new-england", "--band", "0.3:0.74", "--below", "0.3", "--controller", "new_england")
+    arguments = (*arguments, "--latency", "0.2")
+    document = json.loads(interarea("modes", *arguments, "--json")[1])
     assert (document["controller"], document["latency_s"]) == ("new_england", 0.2)
     rows = shipped_controller("new_england").certificate["rows"]
     row = next(r for r in rows if (r["point"], r["condition"]) == ("base", "s200"))
     assert document["counted"] == len(document["modes"]) >= 2
     least = min(mode["damping_ratio"] for mode in document["modes"])
     assert least == pytest.approx(row["inter_area"], abs=1e-6)
-    out = interarea("modes", *given)[1]
+    out = interarea("modes", *arguments)[1]
     assert f"counted independently: {document['counted']}; with new_england, signals 0.2 s late" in out
 
 
 @pytest.mark.parametrize(
-    ("given", "said"),
+    ("arguments", "said"),
     [
         (("--band", "low"), "--band 'low', wanted LOW:HIGH in Hz, such as 0.1:2.5"),
         (("--band", "2:1"), "band 2:1 Hz, wanted LOW:HIGH with 0 < LOW < HIGH"),
@@ -75,8 +75,8 @@ def test_modes_with_a_late_controller(interarea) -> None:  # type: ignore[no-unt
         (("--latency", "0.1"), "--latency 0.1 needs a controller; name one with --controller"),
     ],
 )
-def test_a_mistake_is_one_line(interarea, given, said) -> None:  # type: ignore[no-untyped-def]
-    code, _, err = interarea("modes", "two-area-thesis", *given)
+def test_a_mistake_is_one_line(interarea, arguments, said) -> None:  # type: ignore[no-untyped-def]
+    code, _, err = interarea("modes", "two-area-thesis", *arguments)
     assert code == 2
     assert said in err
     assert len(err.strip().splitlines()) == 1

@@ -57,6 +57,6 @@ def test_looking_at_a_place_leaves_nothing(tmp_path: Path, monkeypatch: pytest.M
     from interarea.cli.destination import file_for, folder_for
 
     monkeypatch.delattr("os.O_TMPFILE", raising=False)
-    for made in (folder_for(tmp_path / "a" / "b"), file_for(tmp_path / "c")):
-        assert not made.exists()
+    for destination in (folder_for(tmp_path / "a" / "b"), file_for(tmp_path / "c")):
+        assert not destination.exists()
     assert not list(tmp_path.iterdir())

@@ -84,10 +84,10 @@ def kinds() -> dict[str, str]:
 
 
 @pytest.mark.parametrize(
-    ("command", "wanted"),
+    ("command", "document"),
     [("run", "scenario"), ("ssp", "scenario"), ("sweep", "sweep"), ("study", "study"), ("design", "design")],
 )
-def test_a_file_of_another_kind_is_named_as_what_it_is(interarea, kinds, command: str, wanted: str) -> None:  # type: ignore[no-untyped-def]
+def test_a_file_of_another_kind_is_named_as_what_it_is(interarea, kinds, command: str, document: str) -> None:  # type: ignore[no-untyped-def]
     words = {
         "empty": "is empty",
         "folder": "folder" if command != "study" else "not a bundled study",
@@ -97,12 +97,12 @@ def test_a_file_of_another_kind_is_named_as_what_it_is(interarea, kinds, command
         "case": "is a case",
     }
     for kind, name in kinds.items():
-        if kind == wanted or (kind == "case" and command in ("study", "design")):  # a grid will do there
+        if kind == document or (kind == "case" and command in ("study", "design")):  # a grid will do there
             continue
         results = "results.json" if command == "design" else "results"
         code, out, err = interarea(command, name, "--out", results)
         assert code == 2 and out == "" and err.count("\n") == 1, err
-        assert words[kind] in err and wanted in err and name in err, err
+        assert words[kind] in err and document in err and name in err, err
         assert not Path(results).exists()
 
 

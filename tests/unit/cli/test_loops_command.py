@@ -23,8 +23,18 @@ def test_tables_of_loops_and_sets(interarea) -> None:  # type: ignore[no-untyped
 
 
 def test_the_json_has_the_same(interarea) -> None:  # type: ignore[no-untyped-def]
-    given = ("loops", "nets-nyps", "--below", "0.2", "--together", "4", "--mode", "inter-area 2", "--json")
-    document = json.loads(interarea(*given)[1])
+    arguments = (
+        "loops",
+        "nets-nyps",
+        "--below",
+        "0.2",
+        "--together",
+        "4",
+        "--mode",
+        "inter-area 2",
+        "--json",
+    )
+    document = json.loads(interarea(*arguments)[1])
     assert document["targets"] == ["inter-area 2"]
     best = document["loops"]["inter-area 2"][0]
     assert best["index"] == pytest.approx(1.0)
@@ -33,8 +43,8 @@ def test_the_json_has_the_same(interarea) -> None:  # type: ignore[no-untyped-de
 
 
 def test_a_single_allowed_actuator_is_a_set(interarea) -> None:  # type: ignore[no-untyped-def]
-    given = ("loops", "two-area-thesis", "--signals", "speed", "--actuator", "G2_vs", "--json")
-    assert [one["actuators"] for one in json.loads(interarea(*given)[1])["sets"]] == [["G2_vs"]]
+    arguments = ("loops", "two-area-thesis", "--signals", "speed", "--actuator", "G2_vs", "--json")
+    assert [one["actuators"] for one in json.loads(interarea(*arguments)[1])["sets"]] == [["G2_vs"]]
 
 
 @pytest.mark.slow
@@ -49,8 +59,8 @@ def test_sets_are_ranked_over_operating_points(interarea) -> None:  # type: igno
 @pytest.mark.slow
 def test_sets_are_designed_shortly(interarea) -> None:  # type: ignore[no-untyped-def]
     """The open loop has .081; each set is tried with its own machine and the two of its signal."""
-    given = ("loops", "two-area-thesis", "--signals", "speed", "--together", "1", "--try", "2")
-    document = json.loads(interarea(*given, "--json")[1])
+    arguments = ("loops", "two-area-thesis", "--signals", "speed", "--together", "1", "--try", "2")
+    document = json.loads(interarea(*arguments, "--json")[1])
     dampings = [one["damping"] for one in document["designs"]]
     assert dampings == sorted(dampings, reverse=True) and dampings[-1] > 0.3
     tried = {tuple(one["actuators"]) for one in document["designs"]}
@@ -60,7 +70,7 @@ def test_sets_are_designed_shortly(interarea) -> None:  # type: ignore[no-untype
         assert one["own"] > 0.08
         pays = one["damping"] - one["own"] >= 0.02
         assert one["worth"].startswith("the link adds" if pays else "a local stabilizer performs as well")
-    out = interarea(*given)[1]
+    out = interarea(*arguments)[1]
     assert document["designs"][0]["worth"] in out
     assert "after a short design" in out and f"{dampings[0]:.3f}" in out
     code, _, err = interarea("loops", "two-area-thesis", "--signals", "angle", "--try", "1")
@@ -91,7 +101,7 @@ def test_a_target_that_no_allowed_signal_shows_is_one_line(interarea, tmp_path) 
 
 
 @pytest.mark.parametrize(
-    ("given", "said"),
+    ("arguments", "said"),
     [
         (("--point", "x=3"), "--point 'x=3', wanted out=BRANCH, tie=MW or load=FACTOR"),
         (("--point", "load=much"), "--point 'load=much', wanted out=BRANCH"),
@@ -102,8 +112,8 @@ def test_a_target_that_no_allowed_signal_shows_is_one_line(interarea, tmp_path) 
         (("--below", "0.2", "--mode", "x"), "no mode 'x'"),
     ],
 )
-def test_a_mistake_is_one_line(interarea, given, said) -> None:  # type: ignore[no-untyped-def]
-    code, _, err = interarea("loops", "two-area-thesis", *given)
+def test_a_mistake_is_one_line(interarea, arguments, said) -> None:  # type: ignore[no-untyped-def]
+    code, _, err = interarea("loops", "two-area-thesis", *arguments)
     assert code == 2
     assert said in err
     assert len(err.strip().splitlines()) == 1
@@ -119,7 +129,7 @@ def one_area(folder: Path) -> str:
 
 
 @pytest.mark.parametrize(
-    ("given", "said"),
+    ("arguments", "said"),
     [
         ((), "no inter-area mode .* there are: local area 1.1, .* or assign machines to areas"),
         (
@@ -128,22 +138,22 @@ def one_area(folder: Path) -> str:
         ),
     ],
 )
-def test_one_area_has_nothing_between_areas(interarea, tmp_path, given, said) -> None:  # type: ignore[no-untyped-def]
-    code, _, err = interarea("loops", one_area(tmp_path), "--below", "0.3", *given)
+def test_one_area_has_nothing_between_areas(interarea, tmp_path, arguments, said) -> None:  # type: ignore[no-untyped-def]
+    code, _, err = interarea("loops", one_area(tmp_path), "--below", "0.3", *arguments)
     assert code == 2
     assert re.search(said, err)
     assert len(err.strip().splitlines()) == 1
 
 
 @pytest.mark.parametrize(
-    ("case", "given", "said"),
+    ("case", "arguments", "said"),
     [
         ("kundur-manual", (), "no machine has an exciter that takes a signal .* add an exciter"),
         ("two-area-thesis", ("--circuit-out", "7-9"), "branch '7-9' does not exist; did you mean"),
     ],
 )
-def test_a_grid_without_actuator_or_branch_is_one_line(interarea, case, given, said) -> None:  # type: ignore[no-untyped-def]
-    code, _, err = interarea("loops", case, "--below", "0.9", *given)
+def test_a_grid_without_actuator_or_branch_is_one_line(interarea, case, arguments, said) -> None:  # type: ignore[no-untyped-def]
+    code, _, err = interarea("loops", case, "--below", "0.9", *arguments)
     assert code == 2
     assert re.search(said, err)
     assert len(err.strip().splitlines()) == 1

@@ -15,8 +15,8 @@ from interarea.models.case.case import load_case
 
 
 def _socket(path: Path) -> None:
-    with socket.socket(socket.AF_UNIX) as made:
-        made.bind(path.name)  # the name of a socket has at most 108 characters
+    with socket.socket(socket.AF_UNIX) as opened:
+        opened.bind(path.name)  # the name of a socket has at most 108 characters
 
 
 def _linked(make: Callable[[Path], object], path: Path) -> None:

@@ -35,8 +35,8 @@ def test_it_is_judged_under_plain_conditions_and_by_stability_alone() -> None:
     plant = ia.linearise("two-area-thesis")[["G2_dw", "G4_dw"], ["G4_vs"]]
     assert "speeds in pu" in str(ia.linearise("two-area-thesis").name)
     in_rad = control.ss(plant.A, plant.B, 2 * np.pi * 60 * plant.C, 2 * np.pi * 60 * plant.D)
-    given = ia.linearise("two-area-thesis", speeds="rad/s")[["G2_dw", "G4_dw"], ["G4_vs"]]
-    assert np.allclose(given.C, in_rad.C, rtol=1e-12)
+    model = ia.linearise("two-area-thesis", speeds="rad/s")[["G2_dw", "G4_dw"], ["G4_vs"]]
+    assert np.allclose(model.C, in_rad.C, rtol=1e-12)
     with pytest.raises(ia.UserError, match="speeds = 'Hz', allowed: 'pu', 'rad/s'"):
         ia.linearise("two-area-thesis", speeds="Hz")
     closed = control.feedback(in_rad, own().system, sign=1)
@@ -74,10 +74,10 @@ def test_the_command_exits_with_what_was_found(tmp_path: Path, monkeypatch: pyte
 
 
 @pytest.mark.parametrize(
-    ("predicted", "kept", "shown"),
+    ("predicted", "synchronous", "shown"),
     [("kept", True, True), ("kept", False, False), ("lost", True, False), ("uncertain", False, True)],
 )
-def test_no_prediction_stands_beside_its_refutation(predicted: str, kept: bool, shown: bool) -> None:
-    line = drive_in_words(0.01, predicted, [{"synchronism": True}, {"synchronism": kept}])
+def test_no_prediction_stands_beside_its_refutation(predicted: str, synchronous: bool, shown: bool) -> None:
+    line = drive_in_words(0.01, predicted, [{"synchronism": True}, {"synchronism": synchronous}])
     assert line.startswith("drive after the fault 0.010 pu")
     assert ("(predicted)" in line) == shown

@@ -51,9 +51,9 @@ def test_what_runs_apart_gives_what_it_gives_here(
     code, _, said = interarea("run", file, "--out", tmp_path / "here")
     assert code == 0 and "third-party FMU" not in said
     for name in ("trajectory.csv", "trajectory.parquet"):
-        apart, here = (tmp_path / path / name for path in ("apart", "here"))
-        assert apart.exists() == here.exists()
-        assert not here.exists() or apart.read_bytes() == here.read_bytes()
+        apart, local = (tmp_path / path / name for path in ("apart", "here"))
+        assert apart.exists() == local.exists()
+        assert not local.exists() or apart.read_bytes() == local.read_bytes()
 
 
 @pytest.mark.slow

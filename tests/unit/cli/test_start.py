@@ -213,10 +213,10 @@ def test_python_dash_m_is_the_command() -> None:
 
 @pytest.mark.slow
 def test_the_shell_completes_commands_and_options() -> None:
-    asked = {"_INTERAREA_COMPLETE": "complete_bash", "COMP_CWORD": "1"}
-    assert _output(COMP_WORDS="interarea con", **asked).split() == ["container"]
-    asked["COMP_CWORD"] = "2"
-    assert _output(COMP_WORDS="interarea modes --sha", **asked).split() == ["--shapes"]
+    environment = {"_INTERAREA_COMPLETE": "complete_bash", "COMP_CWORD": "1"}
+    assert _output(COMP_WORDS="interarea con", **environment).split() == ["container"]
+    environment["COMP_CWORD"] = "2"
+    assert _output(COMP_WORDS="interarea modes --sha", **environment).split() == ["--shapes"]
     # the shell is looked for among the parents of the process: `true` keeps bash there
     shown = ["bash", "-c", f"{sys.executable} -m interarea --show-completion; true"]
     assert "complete_bash" in subprocess.run(shown, capture_output=True, text=True, check=False).stdout

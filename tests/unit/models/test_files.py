@@ -60,12 +60,12 @@ def test_a_child_process_leaves_nothing_behind(tmp_path: Path, method: str) -> N
     """A child of multiprocessing ends without atexit; a forked one must not remove what its parent has."""
     if method not in multiprocessing.get_all_start_methods():
         pytest.skip(f"no {method} here")
-    kept = new_folder(tmp_path)
+    folder = new_folder(tmp_path)
     child = multiprocessing.get_context(method).Process(target=_child, args=(tmp_path,))
     child.start()
     child.join(60)
-    assert child.exitcode == 0 and kept.is_dir()
-    assert list(tmp_path.iterdir()) == [kept.parent]
+    assert child.exitcode == 0 and folder.is_dir()
+    assert list(tmp_path.iterdir()) == [folder.parent]
 
 
 def test_what_a_killed_process_left_goes_at_the_next_start(tmp_path: Path) -> None:

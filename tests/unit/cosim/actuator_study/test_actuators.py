@@ -136,14 +136,14 @@ def test_a_rival_is_no_worse_than_remote_controllers_with_the_link_masked(
     nothing = control.ss([], [], [], [[0.0]], inputs=["G4_dw"], outputs=["G4_vs"])
     known = {"controller": Controller("link", nothing).as_dict()}
     own, remote = (_cell("exciter", name, 0, 0.2, **known) for name in ("own", "remote"))
-    made = ActuatorCells.__new__(ActuatorCells)
+    cells = ActuatorCells.__new__(ActuatorCells)
     masked = SimpleNamespace(best_own=lambda sees, tried: tried[1], effort=lambda K: 0.0)
-    monkeypatch.setattr(made, "designs", masked, raising=False)
+    monkeypatch.setattr(cells, "designs", masked, raising=False)
     for least, taken in ((0.3, 0.3), (0.1, 0.2)):
-        monkeypatch.setattr(made, "_judged", lambda *_, least=least: _cell("exciter", "own", 0, least))
-        assert made.own_again(compared["exciter"], own, [remote]).least == taken
+        monkeypatch.setattr(cells, "_judged", lambda *_, least=least: _cell("exciter", "own", 0, least))
+        assert cells.own_again(compared["exciter"], own, [remote]).least == taken
     # a device's own signal is none of its remote ones: nothing to mask
-    assert made.own_again(compared["lcc"], own, [remote]) is own
+    assert cells.own_again(compared["lcc"], own, [remote]) is own
 
 
 @pytest.mark.parametrize(("pole", "survived"), [(-0.3, 1), (0.03, 0)])
@@ -152,11 +152,11 @@ def test_a_fault_is_not_survived_where_the_loop_grows_later_than_the_run_shows(
 ) -> None:
     # the signal hardly moves this state, and it hardly moves the device: nothing is seen of it in 15 s
     hidden = control.ss([[pole]], [[1e-6]], [[1e-3]], [[0.0]], inputs=["G4_dw"], outputs=["svc1_v_mod"])
-    made = ActuatorCells.__new__(ActuatorCells)
-    monkeypatch.setattr(made, "case", case, raising=False)
-    monkeypatch.setattr(made, "cache", default_cache(), raising=False)
-    monkeypatch.setattr(made, "family", ((FaultPlace(bus=8), 200),), raising=False)
-    assert made._survived(Controller("hidden", hidden), {"G4_dw": 0.1}, ("",)) == [survived]
+    cells = ActuatorCells.__new__(ActuatorCells)
+    monkeypatch.setattr(cells, "case", case, raising=False)
+    monkeypatch.setattr(cells, "cache", default_cache(), raising=False)
+    monkeypatch.setattr(cells, "family", ((FaultPlace(bus=8), 200),), raising=False)
+    assert cells._survived(Controller("hidden", hidden), {"G4_dw": 0.1}, ("",)) == [survived]
 
 
 @pytest.mark.parametrize(
@@ -200,9 +200,9 @@ def test_cells_hold_numbers_that_other_paths_give(case: Case, tmp_path: Path) ->
     assert pq.read_table(tmp_path / "actuators.parquet").num_rows == len(actuator_rows(study)) == 3
     points = [case if name == "base" else at_point(case, _point(name)) for name in study["points"]]
     plants = [ia.linearise(point, speeds="rad/s") for point in points]
-    kept = json.loads((tmp_path / "controllers.json").read_text(encoding="utf-8"))["controllers"]
+    stored = json.loads((tmp_path / "controllers.json").read_text(encoding="utf-8"))["controllers"]
     band = 2.0 * np.pi * np.array([0.3, 0.9])
-    for row, entry in zip(study["cells"], kept, strict=True):
+    for row, entry in zip(study["cells"], stored, strict=True):
         K = Controller.from_dict(entry["controller"]).system
         late = row["latency_ms"] * 1e-3 if row["signals"] == "remote" else 0.0
         for key, latency_s in (("there", 0.0), ("late", late)):

@@ -66,8 +66,8 @@ def test_loads_reach_every_load_and_replace_its_mix() -> None:
     case = load_case("two-area-thesis")
     first = case.loads[0].name
     mixed = case.with_changes({"loads": {first: {"P_zip": [0.2, 0.3, 0.5]}}})
-    for given in (case, mixed):
-        changed = with_loads(given, 1.0, 2.0)
+    for grid in (case, mixed):
+        changed = with_loads(grid, 1.0, 2.0)
         assert {(load.P_exponent, load.Q_exponent) for load in changed.loads} == {(1.0, 2.0)}
         assert all(load.P_zip is None for load in changed.loads)
     long = case.with_changes({}, name="n" * 64)
@@ -264,9 +264,9 @@ def test_what_does_not_decay_is_run_on_to_its_end(
 
     monkeypatch.setattr(runs, "outcomes", outcomes)
     end = LoopEnd(stable, complex(-0.1 if stable else 0.1, 3.0))
-    made, longest = runs.outcomes_to_end([FaultRun((), 10.0)], [end], 1.5)
-    assert made[0].verdict is not None
-    assert (made[0].verdict.name, longest) == (came_to, longest_s)
+    results, longest = runs.outcomes_to_end([FaultRun((), 10.0)], [end], 1.5)
+    assert results[0].verdict is not None
+    assert (results[0].verdict.name, longest) == (came_to, longest_s)
 
 
 def test_what_a_certificate_leaves_out_is_said() -> None:
@@ -392,12 +392,14 @@ def test_the_kept_certificates_are_those_of_the_controllers(cache: Path) -> None
     assert table.acceptance is not None
     lost = next(each for each in known["acceptance"]["lost"] if each.startswith("tie +100, fault"))
     for setting in (
-        s for _, some in settings_of(table.acceptance, "tie +100", None, controller.inputs) for s in some
+        s
+        for _, settings in settings_of(table.acceptance, "tie +100", None, controller.inputs)
+        for s in settings
     ):
         if str(setting) == lost:
             with Trial(CASES["tie +100"], controller, table.acceptance, cache) as trial:
-                kept = trial.stable_at({(setting, False): 8.0, (setting, True): 8.0})
-            assert kept == {(setting, False): True, (setting, True): False}
+                stored = trial.stable_at({(setting, False): 8.0, (setting, True): 8.0})
+            assert stored == {(setting, False): True, (setting, True): False}
             break
     else:
         pytest.fail(f"no setting is {lost!r}")

@@ -19,14 +19,14 @@ from interarea.synthesis import design_controller
 
 def test_members_share_points_and_limits_and_leave_the_guard_to_the_supervisor() -> None:
     table = load_design("active")
-    made = member_tables(table)
-    assert list(made) == ["all", "local", "remote"]
-    assert [each.signals for each in made.values()] == [("G2_dw", "G4_dw"), ("G4_dw",), ("G2_dw",)]
-    for each in made.values():
+    members = member_tables(table)
+    assert list(members) == ["all", "local", "remote"]
+    assert [each.signals for each in members.values()] == [("G2_dw", "G4_dw"), ("G4_dw",), ("G2_dw",)]
+    for each in members.values():
         assert (each.point, each.limit_pu, each.guard, each.bank) == (table.point, table.limit_pu, None, None)
-    assert made["local"].first_swing is None and made["remote"].first_swing == table.first_swing
-    assert made["local"].gain_of == {"G4_dw": 0.8}
-    assert made["local"].effort_cap != made["remote"].effort_cap == table.effort_cap
+    assert members["local"].first_swing is None and members["remote"].first_swing == table.first_swing
+    assert members["local"].gain_of == {"G4_dw": 0.8}
+    assert members["local"].effort_cap != members["remote"].effort_cap == table.effort_cap
 
 
 QUICK: dict[str, Any] = {

@@ -40,9 +40,9 @@ name = "base"
 """
 
 
-def spec_file(folder: Path, wanted: float) -> Path:
+def spec_file(folder: Path, worst_swing: float) -> Path:
     path = folder / "small.toml"
-    path.write_text(SMALL.replace("WANTED", str(wanted)), encoding="utf-8")
+    path.write_text(SMALL.replace("WANTED", str(worst_swing)), encoding="utf-8")
     return path
 
 
@@ -54,10 +54,10 @@ def test_design_shows_what_was_tried_and_draws_it(tmp_path: Path, cache: Path) -
     assert done.exit_code == 0, done.output
     for name in ("small", "start 1", "start 2", "robust"):
         assert name in done.output
-    made = json.loads(out.read_text())
-    assert len(made["A"]) == 4
-    assert made["certificate"]["passed"] is True
-    assert made["certificate"]["worst_swing"] >= 0.1
+    design = json.loads(out.read_text())
+    assert len(design["A"]) == 4
+    assert design["certificate"]["passed"] is True
+    assert design["certificate"]["worst_swing"] >= 0.1
     drawn = sorted(p.name for p in plots.iterdir())
     assert drawn == ["controller-gain.png", "effort-damping.png", "root-loci.png", "sensitivity.png"]
     for name in drawn:

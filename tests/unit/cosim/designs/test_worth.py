@@ -77,18 +77,18 @@ def test_a_design_without_a_rival_is_refused_in_a_line(change: dict[str, Any], s
 @pytest.mark.slow
 def test_the_rival_on_record_is_recomputed_not_believed() -> None:
     """The record's figures are those of its system: with a fifth of its gain the rival reaches less."""
-    made = shipped_controller("robust")
-    rival = rival_on_record(made)
+    controller = shipped_controller("robust")
+    rival = rival_on_record(controller)
     assert rival is not None
     assert rival.inputs == ("G4_dw",)
     whole, cache = load_design("robust"), default_cache()
     hardest = next(p for p in whole.point if p.name == "circuit out, tie +50")
     table = whole.model_copy(update={"point": (hardest,), "fault": None, "acceptance": None})
-    result = worth(table, made, cache)
-    weaker = worth(table, made, cache, rival=rival.scaled(0.2))
+    result = worth(table, controller, cache)
+    weaker = worth(table, controller, cache, rival=rival.scaled(0.2))
     # the hardest point for the inter-area mode is the worst of the whole family
-    assert made.certificate is not None
-    assert result.adds == pytest.approx(made.certificate["worth"]["adds"], abs=1e-9)
+    assert controller.certificate is not None
+    assert result.adds == pytest.approx(controller.certificate["worth"]["adds"], abs=1e-9)
     assert weaker.rival is not None
     assert result.rival is not None
     assert weaker.rival.inter_area < result.rival.inter_area - 0.05
@@ -120,18 +120,18 @@ def test_compare_says_it_for_each_controller() -> None:
 
 @pytest.mark.slow
 def test_clearing_times_on_record_count_where_the_same_design_found_them() -> None:
-    made = shipped_controller("robust_latency")
-    own = specification_of(made)
-    assert own is not None and made.certificate is not None
+    controller = shipped_controller("robust_latency")
+    own = specification_of(controller)
+    assert own is not None and controller.certificate is not None
     table = own.model_copy(update={"fault": None})  # another design: what it found is not known
     point = own.point[:1]
-    assert worth(table.model_copy(update={"point": point}), made, default_cache()).adds_cycles is None
-    here = worth_at(own.grid, made, default_cache())
-    kept = made.certificate["worth"]
-    expected = kept["whole"]["clearing_cycles"] - kept["rival"]["clearing_cycles"]
-    assert here.adds_cycles == pytest.approx(expected)
-    assert f"{expected:.1f} cycles of clearing time: inter-area" in here.sentence
-    assert worth_at(load_case("kundur-pss"), made, default_cache()).adds_cycles is None
+    assert worth(table.model_copy(update={"point": point}), controller, default_cache()).adds_cycles is None
+    local = worth_at(own.grid, controller, default_cache())
+    stored = controller.certificate["worth"]
+    expected = stored["whole"]["clearing_cycles"] - stored["rival"]["clearing_cycles"]
+    assert local.adds_cycles == pytest.approx(expected)
+    assert f"{expected:.1f} cycles of clearing time: inter-area" in local.sentence
+    assert worth_at(load_case("kundur-pss"), controller, default_cache()).adds_cycles is None
 
 
 def test_worth_of_signals_that_the_plant_lacks_is_a_line() -> None:

@@ -119,10 +119,10 @@ def test_a_loop_is_asked_for_what_the_stabilizers_give_at_each_point(weak: WeakM
     assert there is not None
     rows = tried_points(there, cache, Clock(0.0))
     points = chosen_points(rows)
-    kept = {p.name: p for p in keeping_what_is_there(there, points, rows, 0.03)}
-    assert list(kept) == [point.name for point in points]
+    targets = {p.name: p for p in keeping_what_is_there(there, points, rows, 0.03)}
+    assert list(targets) == [point.name for point in points]
     least = {row.point.name: row.least for row in rows} | {"base": there.weakest.damping_ratio}
-    for name, point in kept.items():
+    for name, point in targets.items():
         expected = least[name] - there.choices.given_away
         if not expected > there.required_damping:
             assert point.ask is None and not point.more
@@ -131,7 +131,7 @@ def test_a_loop_is_asked_for_what_the_stabilizers_give_at_each_point(weak: WeakM
         in_band = 2.0 * np.pi * there.weakest.frequency_hz
         extra = BandOffsets(*zip(*point.more, strict=True))(np.array([0.0, in_band, 15.0]))[0]
         assert extra == pytest.approx([0.0, expected - there.required_damping, 0.0], abs=2e-4)
-    assert kept["base"].ask is not None and any(point.ask is None for point in kept.values())
+    assert targets["base"].ask is not None and any(point.ask is None for point in targets.values())
     assert keeping_what_is_there(weak, points, rows, 0.03) == points  # no stabilizers to keep
 
 

@@ -50,8 +50,8 @@ def test_what_is_missed_is_said_at_the_top() -> None:
 
 def test_a_point_outside_the_design_that_falls_short_is_said_at_the_top() -> None:
     row = {"point": "1-2 out", "stable": True, "inter_area": 0.09, "worst_swing": 0.05}
-    asked = {"inter_area": 0.1, "worst_swing": 0.05}
-    study = _study(certificate=_certificate(), asked=asked, left_out=[row])
+    targets = {"inter_area": 0.1, "worst_swing": 0.05}
+    study = _study(certificate=_certificate(), asked=targets, left_out=[row])
     assert any("outside the design it does not meet the requirements: 1-2 out." in t for t in headline(study))
     row["inter_area"] = 0.1
     assert not any("outside the design" in line for line in headline(study))

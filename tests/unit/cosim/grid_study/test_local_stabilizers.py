@@ -108,33 +108,35 @@ def _judged(name: str, inter_area: float, worst_swing: float, *violations: str) 
 
 
 def test_the_sentence_says_which_to_build() -> None:
-    asked = (0.1, 0.03)
+    targets = (0.1, 0.03)
     good, also = _judged("wide", 0.2, 0.05), _judged("local", 0.11, 0.05)
-    assert which_to_build(good, also, asked).startswith("local stabilizers are sufficient, a wide")
-    assert which_to_build(good, also, asked).endswith("the wide-area loop would add 0.090 inter-area damping")
-    assert which_to_build(_judged("wide", 0.05, 0.05), also, asked).endswith(
+    assert which_to_build(good, also, targets).startswith("local stabilizers are sufficient, a wide")
+    assert which_to_build(good, also, targets).endswith(
+        "the wide-area loop would add 0.090 inter-area damping"
+    )
+    assert which_to_build(_judged("wide", 0.05, 0.05), also, targets).endswith(
         "the wide-area loop alone reaches 0.060 less inter-area damping"
     )
     # good eigenvalues and a lost fault are no stabilizer to build
     loses = _judged("local", 0.3, 0.05, "base, fault at bus 7: synchronism lost; kept without the controller")
-    assert which_to_build(good, loses, asked).startswith(
+    assert which_to_build(good, loses, targets).startswith(
         "build the wide-area loop: the wide-area loop reaches"
     )
     short, shorter = _judged("wide", 0.08, 0.05, "inter-area"), _judged("local", 0.06, 0.05, "inter-area")
-    assert "the wide-area loop is" in which_to_build(short, shorter, asked)
-    assert "the local stabilizers are" in which_to_build(shorter, short, asked)
-    assert which_to_build(good, None, asked).startswith("no local stabilizer can be tuned")
+    assert "the wide-area loop is" in which_to_build(short, shorter, targets)
+    assert "the local stabilizers are" in which_to_build(shorter, short, targets)
+    assert which_to_build(good, None, targets).startswith("no local stabilizer can be tuned")
     # faults that were not run are no reason against stabilizers where the loop misses something
     unfinished = _judged("local", 0.11, 0.05, f"non-linear faults at base: {TIME_OVER}")
     assert "; not verified within the time limit: 1 requirement (first" in which_to_build(
-        short, unfinished, asked
+        short, unfinished, targets
     )
-    assert which_to_build(good, unfinished, asked).startswith("build the wide-area loop")
-    both = which_to_build(good, shorter, asked, ("G2",))
+    assert which_to_build(good, unfinished, targets).startswith("build the wide-area loop")
+    both = which_to_build(good, shorter, targets, ("G2",))
     assert both.startswith("build both: local stabilizers at G2 reach")
     assert both.endswith("0.050 (worst swing) and meet all requirements")
     swings = _judged("wide", 0.2, 0.05, "base, fault at bus 7: standing swing")
-    assert "the local stabilizers are closer" in which_to_build(swings, shorter, asked)
-    assert "the stabilizers alone are closer" in which_to_build(swings, shorter, asked, ("G2",))
-    neither = which_to_build(short, shorter, asked, ("G2",))
+    assert "the local stabilizers are closer" in which_to_build(swings, shorter, targets)
+    assert "the stabilizers alone are closer" in which_to_build(swings, shorter, targets, ("G2",))
+    neither = which_to_build(short, shorter, targets, ("G2",))
     assert neither.startswith("not all requirements are met: local stabilizers at G2 reach")

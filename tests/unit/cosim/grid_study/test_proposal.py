@@ -95,8 +95,8 @@ def test_the_worst_point_that_was_left_out_is_taken_up_where_that_holds_more(
     worst = min(narrow.left_out, key=lambda row: row.least)
 
     def searched(gain: float) -> GridDesign:
-        made = lambda table, *_: _certified(replace(narrow, table=table), gain, cache)  # noqa: E731
-        monkeypatch.setattr(automatic, "_searched", made)
+        result = lambda table, *_: _certified(replace(narrow, table=table), gain, cache)  # noqa: E731
+        monkeypatch.setattr(automatic, "_searched", result)
         return _with_worst_points(first, cache, clock, lambda share: None)
 
     better = searched(0.03)

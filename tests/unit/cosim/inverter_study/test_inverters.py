@@ -39,9 +39,9 @@ def test_every_step_has_the_power_flow_of_the_grid_without_inverters(grid, kind)
         step = replaced(case, kind, share)
         after = solve_powerflow(step)
         assert np.max(np.abs(after.voltages - before.voltages)) < 1e-9
-        kept = dict(zip([m.name for m in step.machines], after.generation, strict=True))
+        dispatch = dict(zip([m.name for m in step.machines], after.generation, strict=True))
         for machine, power in zip(case.machines, before.generation, strict=True):
-            assert kept[machine.name] == pytest.approx((1.0 - share) * power, abs=1e-7)
+            assert dispatch[machine.name] == pytest.approx((1.0 - share) * power, abs=1e-7)
             one = next(row for row in step.converters if row.name == f"{machine.name}_inverter")
             rated = max(share * machine.base_mva, share * abs(power) * case.base_mva / LOADED)
             assert one.base_mva == pytest.approx(rated)

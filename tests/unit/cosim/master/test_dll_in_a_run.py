@@ -132,8 +132,8 @@ def test_what_is_wrong_with_a_dll_is_one_error(robust: Path, tmp_path: Path, cac
         with pytest.raises(StepError, match=r"the DLL crashed its process \(SIGABRT\)") as error:
             System(stop_s=1.0, step_s=0.01, cache=cache).fmu("mine", lag_dll(defect, tmp_path, cache)).run()
         assert "\n" not in str(error.value)
-    given = System(stop_s=0.1, step_s=0.01, cache=cache).fmu("mine", robust, start={"G4_vs": 0.01}).run()
-    (line,) = given.fmu_log  # what a DLL says with return code 1
+    preset = System(stop_s=0.1, step_s=0.01, cache=cache).fmu("mine", robust, start={"G4_vs": 0.01}).run()
+    (line,) = preset.fmu_log  # what a DLL says with return code 1
     assert "output G4_vs starts at 0, not at the 0.01" in line
     with pytest.raises(GraphError, match=r"robust\.so: limit = 'much', allowed: a number"):
         system.fmu("mine", robust, start={"limit": "much"}).run()

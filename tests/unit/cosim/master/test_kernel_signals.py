@@ -140,10 +140,10 @@ def test_an_offset_between_units_is_never_dropped(
 ) -> None:
     """A constant 300 K is 26.85 degC to what follows, at both ends of every step: x' = 26.85 - x, and after
     it z' = (x - 273.15) - z, whose input is drawn with the slopes that x has at the ends of steps."""
-    made = mutated(
+    fmu = mutated(
         block_fmu(decay_block(), cache), tmp_path / "decay.fmu", kelvin_and_celsius(derivatives=derivatives)
     )
-    file = FmuFile(made)
+    file = FmuFile(fmu)
     parts = [
         FmuParticipant("a", file, {"x": 300.0, "rate": 0.0}),
         FmuParticipant("b", file, {"x": 280.0}),

@@ -119,8 +119,8 @@ def alone(cache: Path, by_hand: Controller) -> list[tuple[str, int]]:
 
 @pytest.fixture
 def masters(cache: Path, by_hand: Controller, library: GroupLibrary) -> Iterator[list[Master]]:
-    with side_by_side(RUNS, cache, by_hand, library) as made:
-        yield made
+    with side_by_side(RUNS, cache, by_hand, library) as masters:
+        yield masters
 
 
 @pytest.mark.parametrize(

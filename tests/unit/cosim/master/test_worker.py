@@ -37,8 +37,8 @@ def ring(misbehaving: Path, isolated: str) -> System:
 @pytest.mark.slow
 @pytest.mark.parametrize("isolated", ["x"])
 def test_isolated_or_not_the_bits_are_the_same(misbehaving: Path, isolated: str) -> None:
-    here, there = ring(misbehaving, "").run(), ring(misbehaving, isolated).run()
-    assert there.data.equals(here.data)
+    shared, there = ring(misbehaving, "").run(), ring(misbehaving, isolated).run()
+    assert there.data.equals(shared.data)
     np.testing.assert_allclose(there["x.y"], np.cosh(there["time_s"]), rtol=1e-6)
 
 

@@ -84,9 +84,9 @@ def test_longitudes_run_on_over_the_180th_meridian() -> None:
 
 def test_machines_without_a_place_are_named_and_too_few_places_give_a_compass(north: Case) -> None:
     machines = load_case(CASE).machines
-    here = places_of(north)
-    some = {m.bus: here[m.bus] for m in machines[:3]}
-    figure = mode_map(SHAPE, north, some, "three")
+    places = places_of(north)
+    few = {m.bus: places[m.bus] for m in machines[:3]}
+    figure = mode_map(SHAPE, north, few, "three")
     assert "no place in the case: G4 (0.01, +0°)" in figure.get_supxlabel()
 
     def drawn(case: Case) -> str:

@@ -37,9 +37,11 @@ def run() -> Record:
         {"kind": "pm_pulse", "machine": "G3", "size_pu": 0.1, "start_s": 4.0, "end_s": 6.0},
         {"kind": "vref_pulse", "machine": "G3", "size_pu": -0.05, "start_s": 7.0, "end_s": 8.0},
     ]
-    made = ia.simulate({"case": CASE, "stop_s": 12.0, "controller": "none", "show": PLACES, "event": events})
+    result = ia.simulate(
+        {"case": CASE, "stop_s": 12.0, "controller": "none", "show": PLACES, "event": events}
+    )
     with tempfile.TemporaryDirectory() as folder:
-        made.save(folder)
+        result.save(folder)
         return ia.read_record(Path(folder) / "trajectory.parquet")
 
 
@@ -111,13 +113,13 @@ def test_what_cannot_be_played_in_is_refused_in_one_line(
         assert (code, out) == (2, ""), err
         assert says in err
         assert err.count("interarea: ") == 1
-    some = [
+    refusals = [
         c.name for c in record.channels if c.quantity != "voltage" and not c.name.endswith((".re", ".im"))
     ]
     with pytest.raises(RecordError, match="rest_s = -1 s of steady state, allowed: above 0"):
         ia.fit(run(), CASE, "G1", rest_s=-1.0)
     with pytest.raises(RecordError, match="no voltage at G1, bus1, "):
-        ia.fit(record.only(some), CASE, "G1")
+        ia.fit(record.only(refusals), CASE, "G1")
 
 
 @pytest.mark.parametrize("instant", [0.0, 0.2, 0.5, 0.77, 1.0])
@@ -153,9 +155,11 @@ def test_a_record_of_a_fault_gives_parameters_within_a_thousandth() -> None:
         for key in reversed(name.split(".")):
             change = {key: change}
         case = case.with_changes({"machines": {"G1": change}})
-    made = ia.simulate({"case": CASE, "stop_s": 6.0, "controller": "none", "show": PLACES, "event": fault})
+    simulated = ia.simulate(
+        {"case": CASE, "stop_s": 6.0, "controller": "none", "show": PLACES, "event": fault}
+    )
     with tempfile.TemporaryDirectory() as folder:
-        made.save(folder)
+        simulated.save(folder)
         record = ia.read_record(Path(folder) / "trajectory.parquet")
     result = ia.fit(record, case, "G1", list(truth), rest_s=0.9)
     assert {p.name for p in result.parameters} == set(truth)
@@ -167,8 +171,10 @@ def test_a_record_of_a_fault_gives_parameters_within_a_thousandth() -> None:
 def test_a_record_of_a_fault_between_two_frames_agrees_with_its_own_machine(tmp_path: Path) -> None:
     """The fault ends between two points of the run; without parameters too the instants are fitted."""
     fault = [{"kind": "bus_fault", "bus": 9, "start_s": 1.004, "end_s": 1.1333333, "x_pu": 0.01}]
-    made = ia.simulate({"case": CASE, "stop_s": 4.0, "controller": "none", "show": PLACES, "event": fault})
-    made.save(tmp_path)
+    simulated = ia.simulate(
+        {"case": CASE, "stop_s": 4.0, "controller": "none", "show": PLACES, "event": fault}
+    )
+    simulated.save(tmp_path)
     result = ia.fit(tmp_path / "trajectory.parquet", CASE, "G1", rest_s=0.9)
     assert max(result.misfit) < 0.002
     off = ia.load_case(CASE).with_changes({"machines": {"G1": {"H": 8.0}}})

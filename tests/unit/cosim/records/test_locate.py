@@ -183,8 +183,8 @@ def test_the_machine_whose_turbine_swings_is_found_in_a_run(machine: str) -> Non
         }
         for k in range(30)
     ]
-    asked = {"case": "kundur-manual", "controller": "none", "stop_s": 38.0, "event": pulses}
-    run = ia.simulate({**asked, "show": ["branch[*].p", "branch[*].q", "bus*.v", "bus*.angle"]})
+    settings = {"case": "kundur-manual", "controller": "none", "stop_s": 38.0, "event": pulses}
+    run = ia.simulate({**settings, "show": ["branch[*].p", "branch[*].q", "bus*.v", "bus*.angle"]})
     record = ia.read_record(run.to_frame()).between(13.0, 38.0)
     case = ia.load_case("kundur-manual")
     at = {m.name: f"bus{m.bus}" for m in case.machines}

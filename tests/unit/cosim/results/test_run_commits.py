@@ -31,10 +31,10 @@ def test_git_is_asked_once_of_one_checkout(tmp_path: Path, monkeypatch: pytest.M
     }
     for folder in (package / "scenarios", package / "own" / "inner" / "deep", tmp_path / "none"):
         folder.mkdir()
-    asked: list[Path] = []
+    requests: list[Path] = []
     commit = record._commit
     monkeypatch.setattr(record, "_PACKAGE", package)
-    monkeypatch.setattr(record, "_commit", lambda folder: asked.append(folder) or commit(folder))
+    monkeypatch.setattr(record, "_commit", lambda folder: requests.append(folder) or commit(folder))
     for folder, whose, times in (
         (package, package, 1),
         (package / "scenarios", package, 1),
@@ -42,8 +42,8 @@ def test_git_is_asked_once_of_one_checkout(tmp_path: Path, monkeypatch: pytest.M
         (tmp_path / "beside", tmp_path / "beside", 2),
         (tmp_path / "none", None, 2),
     ):
-        asked.clear()
+        requests.clear()
         assert record._commits(folder) == {"interarea": commits[package], "scenario": commits.get(whose)}, (
             folder
         )
-        assert len(asked) == times, folder
+        assert len(requests) == times, folder

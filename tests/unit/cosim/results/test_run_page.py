@@ -83,8 +83,8 @@ def test_the_page_is_whole_and_says_what_ran(run: Run) -> None:
 def test_the_pointer_shows_what_was_run(run: Run) -> None:
     """The curves kept with the figure, at the places of the axes that the SVG draws."""
     text = run_page(run, run.plot())
-    kept = json.loads(re.search(r'<script type="application/json">(.*?)</script>', text)[1])  # type: ignore[index]
-    swing, speeds, control = kept["axes"]
+    stored = json.loads(re.search(r'<script type="application/json">(.*?)</script>', text)[1])  # type: ignore[index]
+    swing, speeds, control = stored["axes"]
     assert [c["name"] for c in speeds["curves"]] == ["G1", "G2", "G3", "G4"]
     time = np.array(speeds["curves"][1]["x"])
     expected = 1e3 * np.interp(time, run.trajectory.time_s, run["plant.G2_dw"])

@@ -31,9 +31,9 @@ NAMES = ["trajectory.csv", "trajectory.parquet", "ledger.json", "scenario.toml",
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory, cache: Path) -> Path:
-    made = tmp_path_factory.mktemp("plain")
-    build_fmu(decay_block(), made / "x.fmu", cache=cache)
-    return made
+    folder = tmp_path_factory.mktemp("plain")
+    build_fmu(decay_block(), folder / "x.fmu", cache=cache)
+    return folder
 
 
 def scenario(folder: Path, **keys: object) -> Scenario:

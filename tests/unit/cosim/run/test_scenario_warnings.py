@@ -91,8 +91,8 @@ def test_no_two_channels_lose_the_same_packets(hand_controller: Controller) -> N
     assert lost[0][-1] > 5 < lost[1][-1] and not np.array_equal(lost[0], lost[1])
     seed = derived_seed(0, "remote")
     assert run.ledger["remote.u"].note.endswith(f"seed {seed}, derived from its name")
-    given = {n: path | {"seed": 7} for n, path in paths.items()}
-    same = run_scenario(document(channels=given), controller=hand_controller)
+    channels = {n: path | {"seed": 7} for n, path in paths.items()}
+    same = run_scenario(document(channels=channels), controller=hand_controller)
     assert np.array_equal(same["remote.dropped"], same["local.dropped"])
     assert same.ledger["remote.u"].note.endswith("seed 7")
 

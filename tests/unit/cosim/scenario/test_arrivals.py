@@ -23,12 +23,12 @@ def system(step_s: float, line: dict[str, Any], **options: Any) -> System:
     total = Linear("total", 0 * one, one, one, 0 * one, ["u"], ["y"])
     direct = Linear("direct", -one, one, 0.3 * one, one, ["u"], ["y"])
     last = Linear("last", 0 * one, one, one, 0 * one, ["u"], ["y"])
-    made = System(stop_s=2.0, step_s=step_s, **options)
+    system = System(stop_s=2.0, step_s=step_s, **options)
     for p in (source, total, direct, last):
-        made.add(p)
-    made.channel("line", **line)
+        system.add(p)
+    system.channel("line", **line)
     return (
-        made.connect("source.y", "line", "total.u")
+        system.connect("source.y", "line", "total.u")
         .connect("line.y", "direct.u")
         .connect("direct.y", "last.u")
     )
@@ -104,20 +104,20 @@ def test_both_engines_give_the_same_bits_where_packets_come_out(hand_controller:
     """Channel and concentrator, random latency, loss, late frames: kernel and Python reference."""
     runs = []
     for engine in ("kernel", "python"):
-        made = System(stop_s=1.5, engine=engine).plant("two-area-thesis").controller(hand_controller)
-        made.channel(
+        system = System(stop_s=1.5, engine=engine).plant("two-area-thesis").controller(hand_controller)
+        system.channel(
             "line",
             latency_s=0.0437,
             reporting_interval_s=0.02,
             jitter_s=0.01,
             loss={"kind": "bernoulli", "rate": 0.1},
         )
-        made.concentrator("pdc", [{"latency_s": 0.02, "jitter_s": 0.05}, {"latency_s": 0.03}], wait_s=0.06)
-        made.connect("plant.G2_dw", "line", "controller.G2_dw").connect("plant.G1_dw", "pdc.u2")
-        made.connect("plant.G4_dw", "pdc.u1").connect("pdc.y1", "controller.G4_dw")
-        made.connect("controller.G4_vs", "plant.G4_vs")
-        made.event("vref_pulse", machine="G1", size_pu=0.02, start_s=0.5, end_s=0.7)
-        runs.append(made.run())
+        system.concentrator("pdc", [{"latency_s": 0.02, "jitter_s": 0.05}, {"latency_s": 0.03}], wait_s=0.06)
+        system.connect("plant.G2_dw", "line", "controller.G2_dw").connect("plant.G1_dw", "pdc.u2")
+        system.connect("plant.G4_dw", "pdc.u1").connect("pdc.y1", "controller.G4_dw")
+        system.connect("controller.G4_vs", "plant.G4_vs")
+        system.event("vref_pulse", machine="G1", size_pu=0.02, start_s=0.5, end_s=0.7)
+        runs.append(system.run())
     assert runs[0].data.equals(runs[1].data)
     assert "packets are released at" in runs[0].explain()
     assert runs[0].packets["line"]["dropped"] > 0 and runs[0].packets["pdc"]["late"] > 0

@@ -117,15 +117,15 @@ def file(hand_controller: Controller, tmp_path: Path) -> Path:
 
 
 def test_a_scenario_file_names_it(hand_controller: Controller, file: Path, cache: Path) -> None:
-    here = run_scenario(file, cache=cache)
+    result = run_scenario(file, cache=cache)
     there = grid(hand_controller, SIGNALS, wait_s=0.1, latency_s=0.02).run()
     for column in ("plant.G2_dw", "controller.G4_vs", "pdc.y1", "pdc.y2", "pdc.age"):
-        np.testing.assert_array_equal(here[column], there[column])
-    text = here.explain()
+        np.testing.assert_array_equal(result[column], there[column])
+    text = result.explain()
     assert "plant.G2_dw -> pdc.u1" in text and "pdc.y2 -> controller.G4_dw" in text
-    assert here.ledger["pdc.u1"].total_s == pytest.approx(0.11)
-    assert here.packets["pdc"]["sent"] == 2 * 101
-    assert here.packets["pdc"] == there.packets["pdc"]
+    assert result.ledger["pdc.u1"].total_s == pytest.approx(0.11)
+    assert result.packets["pdc"]["sent"] == 2 * 101
+    assert result.packets["pdc"] == there.packets["pdc"]
 
 
 @pytest.mark.slow

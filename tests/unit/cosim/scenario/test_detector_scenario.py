@@ -163,7 +163,7 @@ def test_a_detector_of_something_else_is_refused(of: dict[str, Any], says: str, 
     signals = tuple(signal for signal, _ in CHANNELS.values())
     keys = {"case": "two-area-thesis", "signals": signals, "interval_s": 0.02, **of}
     basis = np.eye(12 * len(keys["signals"]))[:, :6].reshape(len(keys["signals"]), 12, 6)
-    made = DetectorDesign(
+    design = DetectorDesign(
         keys["case"],
         "robust",
         keys["signals"],
@@ -174,7 +174,7 @@ def test_a_detector_of_something_else_is_refused(of: dict[str, Any], says: str, 
         1,
         1,
     )
-    made.save(tmp_path / "detector.json")
+    design.save(tmp_path / "detector.json")
     table = {**scenario(), "detector": {"file": str(tmp_path / "detector.json")}}
     with pytest.raises(ScenarioError, match=says):
         system_of(load_scenario(table))

@@ -32,10 +32,10 @@ def component(name: str, inside: str = "", **units: str) -> str:
     )
 
 
-def values(prefix: str = "", mapping: str = "", **given: float) -> str:
+def values(prefix: str = "", mapping: str = "", **value: float) -> str:
     rows = "".join(
         f'<ssv:Parameter name="{n.replace("__", ".")}"><ssv:Real value="{v}"/></ssv:Parameter>'
-        for n, v in given.items()
+        for n, v in value.items()
     )
     mapped = (
         f"<ssd:ParameterMapping><ssm:ParameterMapping>{mapping}</ssm:ParameterMapping></ssd:ParameterMapping>"

@@ -27,20 +27,20 @@ def runs(count: int, seed: int) -> list[np.ndarray]:
     shapes = np.random.default_rng(1).standard_normal((SIGNALS, len(MODES_HZ)))
     random = np.random.default_rng(seed)
     t = FRAME_S * np.clip(np.arange(STAMPS) - EVENT, 0, None)
-    made = []
+    results = []
     for _ in range(count):
         phases, sizes = random.uniform(0, 6.3, len(MODES_HZ)), random.uniform(5e-4, 2e-3, len(MODES_HZ))
         waves = [
             s * np.exp(-0.2 * t) * np.sin(2 * np.pi * f * t + p)
             for f, p, s in zip(MODES_HZ, phases, sizes, strict=True)
         ]
-        made.append(np.where(np.arange(STAMPS) < EVENT, 0.0, shapes @ np.array(waves)))
-    return made
+        results.append(np.where(np.arange(STAMPS) < EVENT, 0.0, shapes @ np.array(waves)))
+    return results
 
 
-def shifted(made: list[np.ndarray]) -> list[np.ndarray]:
+def shifted(signals: list[np.ndarray]) -> list[np.ndarray]:
     """The same runs, sampled from their first stamp on, from their second, third and fourth."""
-    return [c[:, k:] for c in made for k in range(4)]
+    return [c[:, k:] for c in signals for k in range(4)]
 
 
 def of_size(size: int, seen: list[np.ndarray], judged: list[np.ndarray]) -> Patterns:

@@ -45,7 +45,7 @@ def certified(controller: Controller, **options: Any) -> WrongCertificate:
     return certify_wrong_signals(CASE, controller, PLACE, default_cache(), **options)
 
 
-def made_of(*rows: WrongRow) -> WrongCertificate:
+def certificate_of(*rows: WrongRow) -> WrongCertificate:
     return WrongCertificate("k", "grid", {"G2_dw": 0.1}, (), {}, rows, ())
 
 
@@ -67,13 +67,13 @@ def made_of(*rows: WrongRow) -> WrongCertificate:
     ],
 )
 def test_what_breaks_the_certificate(row: WrongRow, broken: bool) -> None:
-    assert made_of(row).passed is not broken
+    assert certificate_of(row).passed is not broken
 
 
 def test_one_wrong_name_in_a_hundred_is_allowed() -> None:
     once = replace(ROW, others=("G4_dw",), detected_s=None)
-    assert made_of(*[ROW] * 99, once).passed
-    assert not made_of(*[ROW] * 98, once).passed
+    assert certificate_of(*[ROW] * 99, once).passed
+    assert not certificate_of(*[ROW] * 98, once).passed
 
 
 def test_the_table_counts_runs() -> None:
@@ -83,27 +83,27 @@ def test_the_table_counts_runs() -> None:
         replace(ROW, detector=False, verdict=LOST),
         replace(ROW, detected_s=None, stopped_s=16.0),
     ]
-    alone, watched, *rest = made_of(*rows).table()[0][3:]
+    alone, watched, *rest = certificate_of(*rows).table()[0][3:]
     assert (alone, watched, rest) == ("1, 0", "0, 0", ["2", "0.40", "0.60", "0", "1"])
 
 
 @pytest.mark.slow
 def test_a_loop_with_the_wrong_sign_fails_and_one_that_hardly_acts_passes() -> None:
     """`robust` answers a wrong polarity with a growing swing; a fiftieth of it cannot."""
-    asked = {"kinds": ("polarity",), "disturbances": ("pulse",), "detector": {"standing_s": 1e9}}
+    options = {"kinds": ("polarity",), "disturbances": ("pulse",), "detector": {"standing_s": 1e9}}
     robust = load_controller("robust")
     assert isinstance(robust, Controller)
-    inverted = certified(robust.scaled(-3.0), **asked)
+    inverted = certified(robust.scaled(-3.0), **options)
     assert not inverted.passed
     assert any(line.startswith(RIGHT) for line in inverted.violations)
-    plain = certified(robust, **asked)
+    plain = certified(robust, **options)
     # a swing is not called standing, growing or slow by what it does until 20 s
     assert {r.stop_s for r in plain.rows if r.verdict not in (SETTLED, LOST)} == {60.0}
     assert {r.stop_s for r in plain.rows if r.kind == RIGHT} == {20.0}
     assert [line for line in plain.violations if "G4_dw, polarity" in line]
-    stopped = certified(robust, **asked | {"detector": {}})
+    stopped = certified(robust, **options | {"detector": {}})
     assert stopped.passed, stopped.violations
-    weak = certified(robust.scaled(0.02), **asked)
+    weak = certified(robust.scaled(0.02), **options)
     assert weak.passed, weak.violations
     assert {(r.detector, r.signal) for r in weak.rows} == {
         (d, s) for d in (False, True) for s in ("", "G2_dw", "G4_dw")
@@ -134,7 +134,7 @@ def test_a_run_whose_signals_stay_trusted_is_not_run_again_without_a_detector(
 ) -> None:
     """The same rows as when every run without a detector is run too, but for the steps of the witnesses."""
     robust = load_controller("robust")
-    asked = {
+    options = {
         "kinds": ("stuck", "stamp 0.3 s wrong", "swapped with another"),
         "disturbances": ("rest", "pulse"),
     }
@@ -146,14 +146,14 @@ def test_a_run_whose_signals_stay_trusted_is_not_run_again_without_a_detector(
         return to_the_end(of, part)
 
     monkeypatch.setattr(wrong_signals, "to_the_end", counted)
-    short = certified(robust, **asked)
+    short = certified(robust, **options)
     changed = sum(r.detected_s is not None or r.stopped_s is not None for r in short.rows)
     # two with nothing wrong, 12 wrong: with a detector each, without one those that it changed
     assert len(runs) == 14 + changed
     assert 0 < changed < 7
     runs.clear()
     monkeypatch.setattr(wrong_signals, "_as_without", lambda *_: False)
-    each = certified(robust, **asked).rows
+    each = certified(robust, **options).rows
     assert len(runs) == len(each) == 28
     assert [replace(r, left_pu=0.0) for r in each] == [replace(r, left_pu=0.0) for r in short.rows]
     assert [r.left_pu for r in each] == pytest.approx([r.left_pu for r in short.rows], rel=1e-3, abs=1e-12)

@@ -72,8 +72,8 @@ def test_the_study_goes_on_where_it_was_stopped(tmp_path: Path, monkeypatch: pyt
     monkeypatch.setattr(wrong_study, "design_detector", none_of_it)
     table = load_design("robust")
     subject = Subject("robust", load_controller("robust"), table.grid, fault_place(table))
-    asked = {"kinds": ("polarity",), "disturbances": ("pulse",)}
-    first = study_wrong_signals([subject], tmp_path, default_cache(), **asked)
+    options = {"kinds": ("polarity",), "disturbances": ("pulse",)}
+    first = study_wrong_signals([subject], tmp_path, default_cache(), **options)
     one = first["controllers"][0]
     # docs/wrong_signals.md: with G4 isolated nothing of the damping of `robust` is left but the grid's own
     assert one["least_left"] == pytest.approx(0.077, abs=0.005)
@@ -87,7 +87,7 @@ def test_the_study_goes_on_where_it_was_stopped(tmp_path: Path, monkeypatch: pyt
         raise AssertionError("made again")
 
     monkeypatch.setattr(wrong_study, "certify_wrong_signals", refused)
-    assert study_wrong_signals([subject], tmp_path, default_cache(), **asked)["controllers"] == [one]
+    assert study_wrong_signals([subject], tmp_path, default_cache(), **options)["controllers"] == [one]
     with pytest.raises(AssertionError, match="made again"):  # another question is not answered by the file
         study_wrong_signals([subject], tmp_path, default_cache(), kinds=("stuck",))
 
@@ -103,8 +103,8 @@ def test_a_grid_of_five_areas_has_its_own_detector(tmp_path: Path, monkeypatch: 
     monkeypatch.setattr(detector_design, "_BETWEEN", (1.025,))
     table = load_design("nets_nyps")
     subject = Subject("nets_nyps", load_controller("nets_nyps"), table.grid, fault_place(table))
-    asked = {"kinds": ("times 10",), "disturbances": ("bus fault",), "points": 1}
-    one = study_wrong_signals([subject], tmp_path, default_cache(), **asked)["controllers"][0]
+    options = {"kinds": ("times 10",), "disturbances": ("bus fault",), "points": 1}
+    one = study_wrong_signals([subject], tmp_path, default_cache(), **options)["controllers"][0]
     assert one["no_detector"] == ""
     assert (one["runs_of_each"], one["points"], one["disturbances"]) == (6, ["base"], ["bus fault"])
     ends = {(row["signal"], row["detector"]): row for row in one["rows"]}

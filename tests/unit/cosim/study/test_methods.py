@@ -60,8 +60,8 @@ def test_a_reduction_that_costs_too_much_is_refused(relative: control.StateSpace
     """Order 4 doubles the effort of the wide-area controller: .246 to .502; order 6 costs nothing."""
     with pytest.raises(UncertifiedDesign, match=r"from 8 to 4 raises the effort .*0\.246.* to 0\.502"):
         design_wdc(relative, WdcSpec(price_cap=1.5), omega_b=two_area.omega_b)
-    made = design_wdc(relative, WdcSpec(order=6, price_cap=1.01), omega_b=two_area.omega_b)
-    before, after = made.design["reduction_price"]["effort"]
+    design = design_wdc(relative, WdcSpec(order=6, price_cap=1.01), omega_b=two_area.omega_b)
+    before, after = design.design["reduction_price"]["effort"]
     assert after <= 1.01 * before
 
 
@@ -131,13 +131,13 @@ def test_the_printed_iteration_narrows_the_sector_until_it_stops() -> None:
     B = np.array([[0.0], [1], [0], [2]])
     C = np.array([[0.0, 1, 0, 0], [0, 0, 0, 1]])
     G = control.ss(A, B, C, np.zeros((2, 1)), inputs=["u"], outputs=["remote", "local"])
-    made = printed_iteration(G, {"remote_lost": ("remote",)}, half_steps=4)
-    theta = made.facts["theta_rad"]
+    designs = printed_iteration(G, {"remote_lost": ("remote",)}, half_steps=4)
+    theta = designs.facts["theta_rad"]
     assert all(b <= a for a, b in pairwise(theta)) and len(theta) >= 3
     open_loop = np.linalg.eigvals(A)
     widest = np.arccos(np.min(-open_loop.real / np.abs(open_loop)))
     assert theta[0] == pytest.approx(widest, abs=4e-3)  # step (i): B^ = 0, nothing is fed back
-    K = made.controller
+    K = designs.controller
     for keep in (np.array([1.0, 1.0]), np.array([0.0, 1.0])):
         poles = np.linalg.eigvals(np.block([[A, B @ K.C], [(K.B * keep) @ C, K.A]]))
         assert np.min(-poles.real / np.abs(poles)) >= 0.98 * np.cos(theta[-1]) - 1e-3

@@ -186,24 +186,26 @@ def test_another_weight_changes_what_is_designed_drawn_judged_and_run(
     spec = load_study(str(with_table(tmp_path, "\n[design.wdc]\nlow_pass = 12.0\n")))
     specs = design_specs(spec)
     assert specs == {"wdc": WdcSpec(low_pass=12.0)} and design_specs(load_study("thesis")) == {}
-    made = design_controller(two_area, "wdc", cache, specs=specs)
+    design = design_controller(two_area, "wdc", cache, specs=specs)
     full = design_controller(two_area, "wdc", cache, specs=specs, reduce=False)
-    parts = StudyParts(spec, two_area, None, modes, plant, {}, {"wdc": made}, {}, {}, {})  # type: ignore[arg-type]
+    parts = StudyParts(spec, two_area, None, modes, plant, {}, {"wdc": design}, {}, {}, {})  # type: ignore[arg-type]
     w1 = 12.0 / np.abs(1j * OMEGA + 12.0)
     assert weight_gains(parts)[0] == pytest.approx(w1, rel=1e-9)
     assert sensitivity_row(parts)["w1_s"] == pytest.approx(np.max(w1 * loop_functions(parts)[0]), rel=1e-9)
 
-    K, G = made.system, select(plant, ["G4_vs"], {"dw24": {"G2_dw": 1.0, "G4_dw": -1.0}})
+    K, G = design.system, select(plant, ["G4_vs"], {"dw24": {"G2_dw": 1.0, "G4_dw": -1.0}})
     jw = 1j * np.geomspace(1e-3, 1e4, 4000)
     g, k = response(G, jw.imag)[:, 0, 0], response(K, jw.imag)[:, 0, 0]
     low, high = 12.0 / (jw + 12.0), 10.0 * jw / (jw + 100.0)
     norm = np.sqrt(np.abs(low / (1 - g * k)) ** 2 + np.abs(high * k / (1 - g * k)) ** 2).max()
-    assert made.design["reduction_price"]["norm"][1] == pytest.approx(norm, rel=1e-3)
+    assert design.design["reduction_price"]["norm"][1] == pytest.approx(norm, rel=1e-3)
     by_order = {row["order"]: row for row in order_rows(plant, full, modes)}
     assert by_order[4]["norm"] == pytest.approx(norm, rel=1e-3)
 
     document = {"wdc": scenario_documents(spec, None)["wdc-pulse"]}
-    folders = {run_folders(document, {"wdc": K}, cache)["wdc"] for K in (made, replace(made, limit_pu=0.1))}
+    folders = {
+        run_folders(document, {"wdc": K}, cache)["wdc"] for K in (design, replace(design, limit_pu=0.1))
+    }
     assert len(folders) == 2  # the runs are those of the controller that is handed over
 
 

@@ -24,11 +24,11 @@ def test_the_search_ends_within_its_tolerance_below_the_limit() -> None:
     limit = dict(zip(SETTINGS, (8.123, 0.5, 29.99, 40.0), strict=True))
     calls: list[int] = []
 
-    def kept(tried: Any) -> Any:
+    def survives(tried: Any) -> Any:
         calls.append(len(tried))
         return {s: value <= limit[s] for s, value in tried.items()}
 
-    result = longest_stable(SETTINGS, kept, 1.0, 30.0, 0.15)
+    result = longest_stable(SETTINGS, survives, 1.0, 30.0, 0.15)
     for setting in (SETTINGS[0], SETTINGS[2]):
         assert limit[setting] - 0.15 <= result[setting] <= limit[setting]
     assert result[SETTINGS[1]] == 0.0 and result[SETTINGS[3]] == 30.0

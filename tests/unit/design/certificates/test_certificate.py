@@ -139,11 +139,11 @@ def swinging_plant() -> control.StateSpace:
 
 def swings(**eigenvalue_of: complex) -> Modes:
     zero = np.zeros(4, complex)
-    made = {
+    swings = {
         name.replace("_", "-"): Mode(name.replace("_", "-"), z, {}, Participation(), 1.0, zero, zero)
         for name, z in eigenvalue_of.items()
     }
-    return Modes(made, np.array(list(eigenvalue_of.values())))
+    return Modes(swings, np.array(list(eigenvalue_of.values())))
 
 
 def swing_root(omega: float) -> complex:
@@ -164,8 +164,8 @@ def test_conditions_with_a_latency_of_each_signal_are_judged_at_those_latencies(
     plant, K = swinging_plant(), lag_controller(-0.5, -1.0)
     modes = swings(inter_area=swing_root(3.0), local=swing_root(7.0))
     condition = Condition("each its own", (), {"G2_dw": 0.2, "G4_dw": 0.05})
-    made = Controller("hand", K)
-    row = certificate(plant, made, modes, [condition])["conditions"][-1]
+    controller = Controller("hand", K)
+    row = certificate(plant, controller, modes, [condition])["conditions"][-1]
     loop = delayed_loop(plant, K, condition.latency_s_of)
     for name, mode in modes.items():
         pole = track_gain(loop, mode.eigenvalue)

@@ -82,8 +82,8 @@ def test_sparse_blocks_give_the_margins_of_the_dense_plant() -> None:
 
 
 def test_words_name_the_narrowest_first_and_count_the_others() -> None:
-    here = {"value": 0.2, "frequency_hz": 0.9, "point": "base"}
-    many = [{"signal": ALL, "delay": here, "lower": None, "upper": None}]
+    margin = {"value": 0.2, "frequency_hz": 0.9, "point": "base"}
+    many = [{"signal": ALL, "delay": margin, "lower": None, "upper": None}]
     for k in range(6):
         upper = {"value": 3.0 - 0.3 * k, "frequency_hz": 0.0, "point": "load +5 %"}
         many.append({"signal": f"G{k}_dw", "delay": None, "lower": None, "upper": upper})

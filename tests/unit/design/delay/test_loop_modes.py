@@ -32,9 +32,9 @@ def plant() -> tuple[control.StateSpace, Modes]:
 
 
 def controller(name: str) -> Controller:
-    made = controller_of(name, load_case("two-area-thesis"), default_cache())
-    assert isinstance(made, Controller)
-    return made
+    controller = controller_of(name, load_case("two-area-thesis"), default_cache())
+    assert isinstance(controller, Controller)
+    return controller
 
 
 def poles_of(modes: Modes) -> dict[str, complex]:

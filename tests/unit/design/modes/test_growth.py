@@ -111,8 +111,8 @@ def test_both_forms_name_the_swing_modes_alike(name: str) -> None:
 def test_every_report_of_modes_begins_with_the_verdict(interarea) -> None:  # type: ignore[no-untyped-def]
     case = "kundur-thyristor-z"
     start = "UNSTABLE: 2 of 32 eigenvalues grow: +0.01415 ± 3.8291j 1/s"
-    for given in ((), ("--band", "0.1:2.5", "--below", "0.2"), ("--sensitivity", "machines.G1.H")):
-        code, out, _ = interarea("modes", case, *given)
+    for options in ((), ("--band", "0.1:2.5", "--below", "0.2"), ("--sensitivity", "machines.G1.H")):
+        code, out, _ = interarea("modes", case, *options)
         assert code == 0
         assert out.startswith(start)
     shown = ia.modes(case)
@@ -170,8 +170,8 @@ def test_what_grows_beside_damped_swings_is_told(  # type: ignore[no-untyped-def
     _, _, err = interarea("import", str(raw), "--dyr", str(file), "--out", str(out))
     verdict = next(line for line in err.splitlines() if line.startswith("at the equilibrium: "))
     assert all(part in verdict for part in lines)
-    for given in ((), ("--band", "0.05:4", "--below", "0.5")):
-        said = interarea("modes", str(out), *given)[1].splitlines()[0]
+    for options in ((), ("--band", "0.05:4", "--below", "0.5")):
+        said = interarea("modes", str(out), *options)[1].splitlines()[0]
         assert f"at the equilibrium: {said}" == verdict
 
 

@@ -40,15 +40,15 @@ def exact(name: str, s: complex) -> np.ndarray:
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "order", "least"), [("two-area-thesis", 20, 1e-6), ("nets-nyps", 50, 1e-8)])
 def test_the_error_is_that_of_the_dense_response(name: str, order: int, least: float) -> None:
-    made = reduced(name, order)
-    assert made.order == order
-    assert np.all(np.linalg.eigvals(made.system.A).real < 0.0)
-    poles = np.linalg.eigvals(made.system.A)
+    model = reduced(name, order)
+    assert model.order == order
+    assert np.all(np.linalg.eigvals(model.system.A).real < 0.0)
+    poles = np.linalg.eigvals(model.system.A)
     hz = checked_frequencies(poles[(poles.imag > 0.0) & (-poles.real < 0.2 * np.abs(poles))])
     sizes = np.array([np.linalg.norm(exact(name, 2j * np.pi * f), 2) for f in hz])
-    errors = [np.linalg.norm(exact(name, 2j * np.pi * f) - made.system(2j * np.pi * f), 2) for f in hz]
-    assert made.error == pytest.approx(max(errors) / sizes.max(), rel=1e-3)
-    assert made.error < least
+    errors = [np.linalg.norm(exact(name, 2j * np.pi * f) - model.system(2j * np.pi * f), 2) for f in hz]
+    assert model.error == pytest.approx(max(errors) / sizes.max(), rel=1e-3)
+    assert model.error < least
 
 
 @pytest.mark.slow
@@ -62,22 +62,24 @@ def test_hankel_values_are_those_of_dense_gramians() -> None:
 @pytest.mark.slow
 def test_no_model_of_so_many_states_is_nearer_than_the_first_value_cut() -> None:
     """Bounds of Glover and Enns over all frequencies: value k + 1, and twice the sum of all values cut."""
-    made = reduced("nets-nyps", 16)
+    model = reduced("nets-nyps", 16)
     hz = np.geomspace(0.02, 20.0, 400)
-    errors = [np.linalg.norm(exact("nets-nyps", 2j * np.pi * f) - made.system(2j * np.pi * f), 2) for f in hz]
-    assert made.hankel_values[16] < max(errors) < 2.0 * np.sum(made.hankel_values[16:])
+    errors = [
+        np.linalg.norm(exact("nets-nyps", 2j * np.pi * f) - model.system(2j * np.pi * f), 2) for f in hz
+    ]
+    assert model.hankel_values[16] < max(errors) < 2.0 * np.sum(model.hankel_values[16:])
 
 
 @pytest.mark.slow
 def test_zero_modes_that_are_seen_stay_and_the_rotation_goes() -> None:
     assert reduced("nets-nyps", 30).removed == ("zero mode",)
-    made = reduced("new-england", 44)  # constant torque: the common speed is a zero mode too
-    assert made.kept == ("zero mode", "zero mode")
+    model = reduced("new-england", 44)  # constant torque: the common speed is a zero mode too
+    assert model.kept == ("zero mode", "zero mode")
     s = 2j * np.pi * 1e-3  # where the integrator is nearly all there is
-    assert np.linalg.norm(made.system(s) - exact("new-england", s)) < 1e-2 * np.linalg.norm(
+    assert np.linalg.norm(model.system(s) - exact("new-england", s)) < 1e-2 * np.linalg.norm(
         exact("new-england", s)
     )
-    assert made.error < 1e-3
+    assert model.error < 1e-3
 
 
 @pytest.mark.parametrize(

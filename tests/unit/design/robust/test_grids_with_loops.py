@@ -104,9 +104,9 @@ def test_it_raises_the_inter_area_damping_with_any_one_signal_lost(
             judged.append(family_row(name, point.judged, K, condition, bands[name]))
     assert all(row.stable for row in judged)
     # with two lines out little more than stability is asked
-    asked_less = {point.name for point in table.point if point.ask is not None}
-    rows = [row for row in judged if row.point not in asked_less]
-    modes = {name: each for name, each in modes.items() if name not in asked_less}
+    relaxed = {point.name for point in table.point if point.ask is not None}
+    rows = [row for row in judged if row.point not in relaxed]
+    modes = {name: each for name, each in modes.items() if name not in relaxed}
     least = min(
         m.damping_ratio for each in modes.values() for n, m in each.items() if n.startswith("inter-area")
     )

@@ -157,13 +157,13 @@ def test_a_bound_far_steeper_than_the_rest_does_not_end_a_search() -> None:
 def test_an_operating_point_that_is_asked_more_is_that_much_worse(objective: Objective) -> None:
     theta = _controller(objective, 3)
     K = objective.unpack(theta)
-    asked = BandOffsets((0.0, 2.0, 3.0, 5.0, 6.0), (0.0, 0.0, 0.1, 0.1, 0.0))
-    models = [replace(m, more=(asked,) if m.name.startswith("base") else ()) for m in objective.models]
+    offsets = BandOffsets((0.0, 2.0, 3.0, 5.0, 6.0), (0.0, 0.0, 0.1, 0.1, 0.0))
+    models = [replace(m, more=(offsets,) if m.name.startswith("base") else ()) for m in objective.models]
     raised = replace(objective, models=models)
     for (group, _, loops, before), (*_, after) in zip(objective.spectra(K), raised.spectra(K), strict=True):
         for k, model in enumerate(group):
             omega = np.abs(np.linalg.eigvals(loops[k]).imag)
-            extra = asked(omega)[0] if model.name.startswith("base") else np.zeros(omega.size)
+            extra = offsets(omega)[0] if model.name.startswith("base") else np.zeros(omega.size)
             added = np.split(after[k] - before[k], 2)
             assert np.sort(added[0]) == pytest.approx(np.sort(extra), abs=1e-9)
             assert added[1] == pytest.approx(0.0, abs=1e-9)  # stability is asked everywhere
@@ -182,7 +182,7 @@ def _staged(objective: Objective, stages: tuple[Stage, ...]) -> tuple[np.ndarray
         0.2,
         np.random.default_rng(1),
         balanced=balanced_parameters,
-        descend=lambda some, at: _descend(some, at, 1, each=60),
+        descend=lambda runs, at: _descend(runs, at, 1, each=60),
     )
     assert len(result) == 1
     return theta, count

@@ -156,17 +156,17 @@ def test_a_small_design_raises_the_damping_of_every_model(rest: dict[str, Any]) 
     spec = RobustSpec(
         ("G2_dw", "G4_dw"), ("G4_vs",), conditions, order=4, starts=1, evaluations=300, polishes=0, **rest
     )
-    made = design_robust(plants, spec, OMEGA_B)
-    certificate = judge_family({"base": speeds_in_rad(plants["base"], OMEGA_B)}, made.system, conditions)
+    design = design_robust(plants, spec, OMEGA_B)
+    certificate = judge_family({"base": speeds_in_rad(plants["base"], OMEGA_B)}, design.system, conditions)
     assert certificate.passed
     assert certificate.inter_area >= 0.15  # open loop 0.081
     assert certificate.effort <= 0.17  # the cap of 0.15 is a penalty, not a wall
     assert certificate.order == 4
     # the washout blocks a constant speed deviation
-    at_rest = made.system.D - made.system.C @ np.linalg.solve(made.system.A, made.system.B)
+    at_rest = design.system.D - design.system.C @ np.linalg.solve(design.system.A, design.system.B)
     assert np.abs(at_rest).max() < 1e-12
     if rest == {"washout_s": 10.0}:  # with what keeps K(0) = 0 the answer to a speed that rises steadily too
-        to_a_ramp = made.system.C @ np.linalg.solve(made.system.A @ made.system.A, made.system.B)
+        to_a_ramp = design.system.C @ np.linalg.solve(design.system.A @ design.system.A, design.system.B)
         assert np.abs(to_a_ramp).max() < 1e-12
 
 
@@ -179,9 +179,9 @@ def test_a_start_that_later_conditions_find_unstable_is_brought_back() -> None:
     objective = build_objective(plants, spec, OMEGA_B)
     start = stated_start(objective, spec)
     assert objective.worst(start)[0] > 0.05
-    made = design_robust(plants, spec, OMEGA_B)
-    assert made.rightmost < -0.1
-    assert made.objective < -0.2
+    design = design_robust(plants, spec, OMEGA_B)
+    assert design.rightmost < -0.1
+    assert design.objective < -0.2
 
 
 def test_design_models_carry_loss_and_latency() -> None:
@@ -314,8 +314,8 @@ def test_a_common_speed_that_stays_is_no_target_and_the_rest_is_unchanged() -> N
     B, C = rng.normal(size=(6, 2)), rng.normal(size=(2, 6))
     plant = control.ss(T @ still @ np.linalg.inv(T), T @ B, C @ np.linalg.inv(T), np.zeros((2, 2)))
     swinging = without_common_speed(plant)
-    kept, expected = (np.sort_complex(np.linalg.eigvals(M)) for M in (swinging.A, A))
-    assert kept == pytest.approx(expected)
+    remaining, expected = (np.sort_complex(np.linalg.eigvals(M)) for M in (swinging.A, A))
+    assert remaining == pytest.approx(expected)
     s = 1.0 + 2.0j
     left_out = np.outer(C[:, 0], B[0]) / s
     assert plant(s) - left_out == pytest.approx(swinging(s), rel=1e-9)

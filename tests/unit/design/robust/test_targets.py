@@ -53,9 +53,9 @@ def test_less_asked_where_a_signal_is_lost_leaves_more_where_it_is_there() -> No
     )
     less = BandOffsets((0.0, 50.0), (-0.25, -0.25))
     reached = {}
-    for name, given in (("same", spec), ("less", replace(spec, more_under={"lost": less}))):
-        made = design_robust({"base": _grid()}, given, 1.0)
-        judged = judge_family({"base": _grid()}, made.system, (NOW, LOST))
+    for name, variant in (("same", spec), ("less", replace(spec, more_under={"lost": less}))):
+        design = design_robust({"base": _grid()}, variant, 1.0)
+        judged = judge_family({"base": _grid()}, design.system, (NOW, LOST))
         reached[name] = [row.worst_swing for row in judged.rows]
     assert reached["less"][0] > reached["same"][0] + 0.01
     assert reached["less"][1] < reached["same"][1]
@@ -86,10 +86,10 @@ def test_each_kind_of_condition_is_asked_for_its_own_target() -> None:
     ]
     # a point that is asked for less, whatever the conditions: .05 where it is lost; one asked for more
     two = {"base": plant["base"], "out": plant["base"]}
-    asked = {"worst_swing": 0.1, "inter_area": 0.1, "targets": {"lost": (0.04, 0.04)}}
-    certificate = judge_family(two, K, (NOW, LOST), at={"out": (0.04, 0.04)}, **asked)  # type: ignore[arg-type]
+    targets = {"worst_swing": 0.1, "inter_area": 0.1, "targets": {"lost": (0.04, 0.04)}}
+    certificate = judge_family(two, K, (NOW, LOST), at={"out": (0.04, 0.04)}, **targets)  # type: ignore[arg-type]
     assert certificate.violations == ()
-    certificate = judge_family(two, K, (NOW, LOST), at={"out": (0.04, 0.06)}, **asked)  # type: ignore[arg-type]
+    certificate = judge_family(two, K, (NOW, LOST), at={"out": (0.04, 0.06)}, **targets)  # type: ignore[arg-type]
     (missed,) = certificate.violations
     assert missed.startswith(
         "out: inter-area damping is 0.05, required >= 0.06: violated in 1 of 2 conditions"

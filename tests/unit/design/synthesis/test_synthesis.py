@@ -251,15 +251,15 @@ def test_change_of_variables_round_trip() -> None:
 
 def test_second_solve_slows_the_controller_within_its_slack() -> None:
     free = conventional(two_mass(), PoleRegion(0.2, None, None), conditioning=Conditioning(1e-7))
-    kept = conventional(two_mass(), PoleRegion(0.2, None, None), conditioning=Conditioning(1e-7, 0.05))
-    assert kept.fastest_pole < free.fastest_pole
-    assert kept.gamma == pytest.approx(1.05 * free.facts["gamma_optimum"], rel=1e-6)
+    slowed = conventional(two_mass(), PoleRegion(0.2, None, None), conditioning=Conditioning(1e-7, 0.05))
+    assert slowed.fastest_pole < free.fastest_pole
+    assert slowed.gamma == pytest.approx(1.05 * free.facts["gamma_optimum"], rel=1e-6)
     A = np.block(
         [
-            [two_mass().A, two_mass().B @ kept.controller.C],
-            [kept.controller.B @ two_mass().C, kept.controller.A],
+            [two_mass().A, two_mass().B @ slowed.controller.C],
+            [slowed.controller.B @ two_mass().C, slowed.controller.A],
         ]
     )
-    B = np.vstack([np.zeros((4, 2)), kept.controller.B])
-    C = np.hstack([np.zeros((1, 4)), kept.controller.C])
-    assert hinf_of(A, B, C, np.zeros((1, 2))).value <= kept.gamma
+    B = np.vstack([np.zeros((4, 2)), slowed.controller.B])
+    C = np.hstack([np.zeros((1, 4)), slowed.controller.C])
+    assert hinf_of(A, B, C, np.zeros((1, 2))).value <= slowed.gamma

@@ -30,11 +30,11 @@ Array = npt.NDArray[np.float64]
 def fmus(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """Return the FMU of each kind with its cross-check files, 2 s long."""
     folder = tmp_path_factory.mktemp("complete")
-    made = {}
+    built = {}
     for kind, block in blocks().items():
         plain = build_fmu(replace(block, stop_s=2.0), folder / f"{kind}_plain.fmu")
-        made[kind] = add_cross_check(plain, folder / f"{kind}.fmu")
-    return made
+        built[kind] = add_cross_check(plain, folder / f"{kind}.fmu")
+    return built
 
 
 def table_of(fmu: Path, ending: str) -> tuple[list[str], Array]:

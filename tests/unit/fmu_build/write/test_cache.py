@@ -30,10 +30,10 @@ from interarea.models.devices.header import devices_file
 
 
 def test_an_artefact_is_made_once_and_never_half(tmp_path: Path) -> None:
-    made = []
+    builds = []
 
     def make(path: Path) -> None:
-        made.append(path)
+        builds.append(path)
         path.write_text("whole")
 
     def fail(path: Path) -> None:
@@ -44,7 +44,7 @@ def test_an_artefact_is_made_once_and_never_half(tmp_path: Path) -> None:
         artefact(tmp_path, "kind", "key", ".txt", fail)
     assert not (tmp_path / "kind" / "key.txt").exists()
     first = artefact(tmp_path, "kind", "key", ".txt", make)
-    assert artefact(tmp_path, "kind", "key", ".txt", make) == first and len(made) == 1
+    assert artefact(tmp_path, "kind", "key", ".txt", make) == first and len(builds) == 1
     assert place(first, tmp_path / "out" / "copy.txt").read_text() == "whole"
     assert sorted(p.name for p in (tmp_path / "kind").iterdir()) == ["key.txt", "key.txt.sha256"]
 

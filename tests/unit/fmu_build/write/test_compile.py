@@ -126,8 +126,8 @@ def test_two_machines_make_the_same_bytes(platform: str, cache: Path, tmp_path: 
     if libraries.is_dir():  # not where the first came from a wheel
         own.mkdir()
         (own / compiling.SYSTEM_LIBRARIES).symlink_to(libraries.absolute())
-    made = [first, compiling.compile_for("decay", sources, to, cache=tmp_path)]
-    assert made[0].read_bytes() == made[1].read_bytes()
+    binaries = [first, compiling.compile_for("decay", sources, to, cache=tmp_path)]
+    assert binaries[0].read_bytes() == binaries[1].read_bytes()
 
 
 def test_compiler_errors_are_passed_on(binaries: Path, tmp_path: Path) -> None:
@@ -193,8 +193,8 @@ def test_binaries_share_objects(binaries: Path, tmp_path: Path) -> None:
     other = tmp_path / "other.c"
     other.write_text(DECAY_C.read_text().replace("../../../models/c/block/block.h", "block.h"))
     compile_binary("other", (other,), "linux64", cache=binaries)
-    made = {p.name.split("-")[0] for p in set((binaries / "objects").iterdir()) - before}
-    assert made == {"other"}
+    objects = {p.name.split("-")[0] for p in set((binaries / "objects").iterdir()) - before}
+    assert objects == {"other"}
 
 
 def test_objects_begun_early_are_those_of_the_library(

@@ -56,11 +56,11 @@ def test_no_machine_finds_what_another_one_kept(
     cache: Path, two_area: Case, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """FMUs hold the binary and the rounding of a machine, linear models its rounding."""
-    made = {str(f(cache)) for f in (channel_fmu, lambda c: plant_fmu(two_area, c))}
+    artefacts = {str(f(cache)) for f in (channel_fmu, lambda c: plant_fmu(two_area, c))}
     linear_plant(two_area, cache)
     kinds = ("channel", "plant", "linear")
     before = {k.path for k in artefacts_in(cache) if k.kind in kinds}
-    assert made <= set(map(str, before)) and {p.parent.name for p in before} == set(kinds)
+    assert artefacts <= set(map(str, before)) and {p.parent.name for p in before} == set(kinds)
     monkeypatch.setattr("interarea.fmu_build.write.cache.host_machine", lambda: "linux-another")
     monkeypatch.setattr("interarea.fmu_build.write.package.host_machine", lambda: "linux-another")
     for again in (lambda: channel_fmu(cache), lambda: linear_plant(two_area, cache)):

@@ -164,8 +164,8 @@ class Fmus:
         table, values = self.members[name].table, {}
         for v in (*table.of_role("input"), *table.of_role("input", integers=True)):
             source, _, port = self.feeds.get(f"{name}.{v.name}", "").partition(".")
-            kept = self.members[name].kind not in ("pmu", "channel") or not name
-            shown = v.name if kept else f"{name}_{v.name}"
+            unbounded = self.members[name].kind not in ("pmu", "channel") or not name
+            shown = v.name if unbounded else f"{name}_{v.name}"
             value = self.runners[source].get(port) if source else signal(shown, t)
             values[v.name] = value if v.type == "Real" else int(value)
         return values

@@ -195,8 +195,8 @@ def alone_from(curves: np.ndarray, limit: float) -> int:
 
 
 def test_a_design_is_written_and_read(patterns: Patterns, tmp_path: Path) -> None:
-    made = DetectorDesign("grid", "robust", SIGNALS, FRAME_S, 1e-5, patterns, 1.5, 30, 20)
-    again = load_detector(made.save(tmp_path / "d.json"))
+    design = DetectorDesign("grid", "robust", SIGNALS, FRAME_S, 1e-5, patterns, 1.5, 30, 20)
+    again = load_detector(design.save(tmp_path / "d.json"))
     np.testing.assert_array_equal(again.patterns.basis, patterns.basis)
     assert (again.signals, again.patterns.numbers, again.largest) == (SIGNALS, patterns.numbers, 1.5)
 

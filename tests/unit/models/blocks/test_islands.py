@@ -80,8 +80,8 @@ def test_a_bus_without_a_machine_is_taken_out(form: str) -> None:
     (dx, y), (dx_cut, y_cut) = whole.derivatives(x), cut.derivatives(x)
     np.testing.assert_allclose(dx_cut, dx, rtol=1e-9, atol=1e-9)
     names = whole.output_names
-    here = [k for k, name in enumerate(names) if name not in ("bus1.v", "G1_vt", "G1_delta")]
-    np.testing.assert_allclose(y_cut[here], y[here], rtol=1e-9, atol=1e-9)
+    rest = [k for k, name in enumerate(names) if name not in ("bus1.v", "G1_vt", "G1_delta")]
+    np.testing.assert_allclose(y_cut[rest], y[rest], rtol=1e-9, atol=1e-9)
     assert y[names.index("bus1.v")] > 0.5 and y_cut[names.index("bus1.v")] == 0.0
 
 

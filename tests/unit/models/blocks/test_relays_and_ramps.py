@@ -71,8 +71,8 @@ def picks_up(crossing_s: float, filter_s: float) -> float:
     What turned since the last look is the frequency half a look ago; the lag adds a / (1 - a) looks,
     a = exp(-look / filter).
     """
-    kept = math.exp(-LOOK_S / filter_s) if filter_s else 0.0
-    return LOOK_S * math.ceil((crossing_s + LOOK_S * (0.5 + kept / (1.0 - kept))) / LOOK_S)
+    decay = math.exp(-LOOK_S / filter_s) if filter_s else 0.0
+    return LOOK_S * math.ceil((crossing_s + LOOK_S * (0.5 + decay / (1.0 - decay))) / LOOK_S)
 
 
 @pytest.mark.parametrize("form", FORMS)
@@ -207,6 +207,6 @@ def test_a_line_that_recloses_onto_its_fault_opens_again_and_may_come_back() -> 
 )
 def test_numbers_that_no_relay_has_are_refused(event: Any, values: Any, says: str) -> None:
     case = grid()
-    given = event_parameters(case, events_of([event], where="test"))
+    parameters = event_parameters(case, events_of([event], where="test"))
     with pytest.raises(BlockFailure, match=says):
-        BlockShim(plant_block(case), given | values)
+        BlockShim(plant_block(case), parameters | values)

@@ -159,15 +159,15 @@ def typical():
     for model, text in RECORDS.items():
         result = device_for_dyr(Record(model, text))
         yield model, result.model, dict(result.parameters)
-    for key, given in OWN.items():
-        yield key, library()[key], given
+    for key, values in OWN.items():
+        yield key, library()[key], values
 
 
-TYPICAL = {name: (model, given) for name, model, given in typical()}
+TYPICAL = {name: (model, settings) for name, model, settings in typical()}
 
 
-def complete(model, given):
-    return {p.name: given.get(p.name, p.default) for p in model.device.parameters} | {
+def complete(model, settings):
+    return {p.name: settings.get(p.name, p.default) for p in model.device.parameters} | {
         MBASE: 100.0,
         FBASE: 60.0,
     }
@@ -178,16 +178,16 @@ def model_xe(model):
 
 
 def at_rest(name):
-    model, given = TYPICAL[name]
+    model, values = TYPICAL[name]
     kind = model.device.kind
     inputs = {key: SEEN[key] for key in KINDS[kind].inputs}
-    behind = 1.0 / model_xe(model) if given.get("REGCB") == 1.0 else 0.0  # its states are E/(jXe)
+    behind = 1.0 / model_xe(model) if values.get("REGCB") == 1.0 else 0.0  # its states are E/(jXe)
     inputs |= {"iq": SEEN["q"] + behind} if kind == "converter" else {}
     inputs |= {"iord": 1.0, "xr": 0.3, "xi": 0.3} if kind == "hvdc" else {}
     inputs |= {"e": 1.05, "theta": np.arctan2(0.6, 0.8)} if kind == "source" else {}
     inputs |= {"iq1": 0.1, "ip2": 0.5, "iq2": 0.1} if kind == "vsc" else {}
     output = OUTPUT.get(kind) if model.device.references else None
-    return rest_of(model, complete(model, given), inputs, output, name), inputs
+    return rest_of(model, complete(model, values), inputs, output, name), inputs
 
 
 def off_rest(name, seed):
@@ -224,16 +224,16 @@ def test_rest_stands_still_and_gives_the_output(name):
 
 @pytest.mark.parametrize("name", RECORDS)
 def test_a_record_goes_in_and_out(name):
-    model, given = TYPICAL[name]
+    model, values = TYPICAL[name]
     if model.device.kind == "converter":
         pytest.skip("several records make up one")
-    out, fields = dyr_fields(model, complete(model, given))
+    out, fields = dyr_fields(model, complete(model, values))
     row = dyr_models()[name][1]
-    kept = [k for k, field in enumerate(row.fields) if field != "-"]
+    filled = [k for k, field in enumerate(row.fields) if field != "-"]
     if out == name:
-        assert [fields[k] for k in kept] == [float(RECORDS[name].split()[k]) for k in kept]
+        assert [fields[k] for k in filled] == [float(RECORDS[name].split()[k]) for k in filled]
     again = device_for_dyr(Record(out, " ".join(map(repr, fields))))
-    assert complete(model, dict(again.parameters)) == complete(model, given)
+    assert complete(model, dict(again.parameters)) == complete(model, values)
 
 
 DRIVER = """
@@ -317,8 +317,8 @@ class Driver:
         device, n = self.models.index(model), len(instances)
         table = np.zeros((self.c.rows_of(ctypes.c_size_t(device)), n))
         for k, instance in enumerate(instances):
-            given = [instance.values[row] for row in parameter_rows(model)]
-            table[: len(given), k] = given
+            parameters = [instance.values[row] for row in parameter_rows(model)]
+            table[: len(parameters), k] = parameters
         x = np.ascontiguousarray(np.array(xs).T)
         dx = np.zeros_like(x)
         signals = {key: np.array([seen.get(key, 0.0) for seen in inputs], dtype=float) for key in MEMBERS}
@@ -412,9 +412,9 @@ def test_a_limit_overrun_is_watched_and_measured(driver):
 @pytest.mark.parametrize("name", ["ESST1A", "EXAC1", "IEEEST", "PSS2B", "HYGOV"])
 def test_absent_parts_are_absent_in_c_too(driver, name):
     """Every time that may be 0 set to 0 in turn: fewer states, and still the same in C and Python."""
-    model, given = TYPICAL[name]
+    model, settings = TYPICAL[name]
     for p in model.device.parameters:
-        if p.unit != "s" or p.low != 0.0 or p.open or not complete(model, given)[p.name]:
+        if p.unit != "s" or p.low != 0.0 or p.open or not complete(model, settings)[p.name]:
             continue
         values = point_values(name) | {p.name: 0.0}
         try:

@@ -66,10 +66,10 @@ def test_a_plain_converter_computes_no_plant_control_turbine_or_loop():
 @pytest.mark.parametrize(("plant", "switches"), [(0.0, 0), (1.0, 1)])
 def test_an_absent_plant_control_switches_nothing(plant, switches, tmp_path):
     """Its error of reactive power passes plant_emax; without it that is no reason to do a step again."""
-    model, given = TYPICAL["REGCA1"]
+    model, values = TYPICAL["REGCA1"]
     _, inputs = at_rest("REGCA1")
-    given = complete(model, given | {"PLANT": plant, "plant_Ki": 5.0 * plant, "plant_Qmax": 9.0})
-    point = rest_of(model, given, inputs, 0.4, "plain")
+    values = complete(model, values | {"PLANT": plant, "plant_Ki": 5.0 * plant, "plant_Qmax": 9.0})
+    point = rest_of(model, values, inputs, 0.4, "plain")
     driver = Driver([model], tmp_path)
     for mode, moved in (("note", 0.0), ("watch", 0.3)):
         seen = SEEN | inputs | {"qbr": inputs["qbr"] + moved}

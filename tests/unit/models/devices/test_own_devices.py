@@ -113,8 +113,8 @@ def test_a_case_carries_its_devices_and_its_hash_knows_them(tmp_path: Path) -> N
     assert case.with_changes({"devices": {"a.toml": hard}}).hash != case.hash
     quoted = 'title = "a \\"b\\" \\\\ c"  # """ \\ \x20"'
     odd = AVR.replace('title = "exciter with transient gain reduction"', quoted)
-    kept = case.with_changes({"devices": {"a.toml": odd}})
-    export_toml(kept, tmp_path / "odd.toml")
+    changed = case.with_changes({"devices": {"a.toml": odd}})
+    export_toml(changed, tmp_path / "odd.toml")
     assert load_case(tmp_path / "odd.toml").devices == {"a.toml": odd}
 
 

@@ -97,8 +97,8 @@ DEGOV = {"T1": 0.01, "T2": 0.02, "T3": 0.2, "K": 10.0, "T4": 0.25, "T5": 0.01, "
 def test_the_engine_delay_is_that_of_the_exponential(delay_s: float) -> None:
     """Up to 0.5/TD Hz within 0.1 degree of exp(-s TD) and of the same size."""
     omegas = 2.0 * np.pi * np.array([0.05, 0.2, 0.5]) / delay_s
-    late, here = ([response(TD, omega) - 0.7 for omega in omegas] for TD in (delay_s, 0.0))  # pm (1 + slip)
-    turn = np.array(late) / here * np.exp(1j * omegas * delay_s)
+    late, prompt = ([response(TD, omega) - 0.7 for omega in omegas] for TD in (delay_s, 0.0))  # pm (1 + slip)
+    turn = np.array(late) / prompt * np.exp(1j * omegas * delay_s)
     assert np.abs(np.degrees(np.angle(turn))).max() < 0.1
     assert np.abs(turn) == pytest.approx(1.0, abs=1e-12)
 

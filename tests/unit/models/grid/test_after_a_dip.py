@@ -113,7 +113,7 @@ def block_diagram(time_s, volts, first, p):
     """Integrate REEC_A and REGC_A at the voltages of the bus by Heun's method, with counted times."""
     p = {"Thld": 0.0, "Thld2": 0.0, "Iqfrz": 0.0, "PQFLAG": 0} | EACH | p
     names = ("vm", "pord", "iqlag", "ip", "iq")
-    s, kept, rest = np.array([first[n] for n in names]), None, volts[0]
+    s, held, rest = np.array([first[n] for n in names]), None, volts[0]
     since = since2 = np.inf  # s after the last dip
 
     def currents(s, dip):
@@ -128,13 +128,13 @@ def block_diagram(time_s, volts, first, p):
         expected, active, most = iql + added, pord / max(vm, 0.01), p["Imax"]
         if p["PQFLAG"]:
             limit = min(table, most)
-            used = kept if kept is not None else limit
+            used = held if held is not None else limit
             ip = np.clip(active, 0.0, used)
             left = np.sqrt(most**2 - ip**2)
             return ip, np.clip(expected, -left, left), limit
         iq = np.clip(expected, -most, most)
         limit = min(table, np.sqrt(most**2 - iq**2))
-        return np.clip(active, 0.0, kept if kept is not None else limit), iq, limit
+        return np.clip(active, 0.0, held if held is not None else limit), iq, limit
 
     def rates(s, v, dip):
         ip, iq, _ = currents(s, dip)
@@ -154,8 +154,8 @@ def block_diagram(time_s, volts, first, p):
         h, dip = time_s[k + 1] - time_s[k], volts[k] < p["Vdip"]
         if dip:
             since = since2 = 0.0
-        kept = limit if not dip and since2 < p["Thld2"] - 1e-9 else None
-        if kept is None:
+        held = limit if not dip and since2 < p["Thld2"] - 1e-9 else None
+        if held is None:
             limit = currents(s, dip)[2]
         one = rates(s, volts[k], dip)
         following = volts[k] if (volts[k + 1] < p["Vdip"]) != dip else volts[k + 1]

@@ -82,9 +82,9 @@ def block_diagram(time_s, volts, p_mod, p):
         most = 0.0 if soc <= p["SOCmin"] else 1.1
         least = 0.0 if soc >= p["SOCmax"] else -1.1
         command = min(max(min(max(pord, -1.0), 1.0) / max(vm, 0.01), least), most)
-        given = min(max((0.5 + step - pord) / 0.02, -99.0), 99.0)
+        rate = min(max((0.5 + step - pord) / 0.02, -99.0), 99.0)
         taken = v * ip - (0.5 if least * most else 0.0)
-        return np.array([(v - vm) / 0.02, given, min((command - ip) / 0.02, 10.0), -taken / p["Tsoc"]])
+        return np.array([(v - vm) / 0.02, rate, min((command - ip) / 0.02, 10.0), -taken / p["Tsoc"]])
 
     s = np.array([volts[0], 0.5, 0.5 / volts[0], p["SOCini"]])
     course = [s]
@@ -165,8 +165,8 @@ def test_a_record_becomes_a_battery(tmp_path, name):
         record = record.replace("4 'REECCU1' 1", "4 'USRMDL' 1 'REECCU1' 102 0 5 45 7 6")
     case = imported(tmp_path, record)
     values = case.converters[0].control.parameters
-    given = [values[key] for key in ("BATTERY", "REECA", "PMIN", "Tsoc", "SOCini", "SOCmax", "SOCmin")]
-    assert given == [1.0, 0.0, -1.0, 7200.0, 0.6, 0.9, 0.1]
+    result = [values[key] for key in ("BATTERY", "REECA", "PMIN", "Tsoc", "SOCini", "SOCmax", "SOCmin")]
+    assert result == [1.0, 0.0, -1.0, 7200.0, 0.6, 0.9, 0.1]
     plant = BlockShim(plant_block(case))
     assert np.max(np.abs(plant.derivatives(plant.x)[0])) < 1e-8
 

@@ -26,8 +26,8 @@ CONTROLS = {
 
 
 def with_svc(kind, base="two-area-thesis", **row):
-    given = {"bus": 8, "base_mva": 200.0, "control": CONTROLS[kind]} | row
-    return load_case(base).with_changes({"svcs": {"svc1": given}})
+    row_of_svc = {"bus": 8, "base_mva": 200.0, "control": CONTROLS[kind]} | row
+    return load_case(base).with_changes({"svcs": {"svc1": row_of_svc}})
 
 
 @pytest.mark.parametrize("network", ["dense", "sparse"])

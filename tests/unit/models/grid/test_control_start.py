@@ -57,9 +57,9 @@ def test_released_limits_lie_a_tenth_beyond_and_only_where_needed():
 def test_a_limit_that_moves_is_widened_by_the_parameter_in_it():
     """ESST1A: Efd <= vt VRMAX - KC ifd, so VRMAX = (1.1 Efd + KC ifd)/vt."""
     model = library()["esst1a"]
-    given = {"VOS": 1.0, "VIMIN": -9.0, "VIMAX": 9.0, "KA": 200.0, "VAMIN": -8.0, "VAMAX": 8.0}
-    given |= {"VRMIN": -6.0, "VRMAX": 1.5, "KC": 0.1, "MBASE": 100.0, "FBASE": 60.0}
-    values = {p.name: given.get(p.name, p.default) for p in model.device.parameters} | {
+    parameters = {"VOS": 1.0, "VIMIN": -9.0, "VIMAX": 9.0, "KA": 200.0, "VAMIN": -8.0, "VAMAX": 8.0}
+    parameters |= {"VRMIN": -6.0, "VRMAX": 1.5, "KC": 0.1, "MBASE": 100.0, "FBASE": 60.0}
+    values = {p.name: parameters.get(p.name, p.default) for p in model.device.parameters} | {
         "MBASE": 100.0,
         "FBASE": 60.0,
     }

@@ -105,8 +105,8 @@ def test_after_a_trip_its_current_is_zero_and_the_bus_balances(network):
             bus.number: complex(*(y[k, at[f"bus{bus.number}.{part}"]] for part in ("re", "im")))
             for bus in case.buses
         }
-        given = V[8] * np.conj(_into_branches(case, 8, V))
-        assert given == pytest.approx(power[k], abs=1e-10)
+        outflow = V[8] * np.conj(_into_branches(case, 8, V))
+        assert outflow == pytest.approx(power[k], abs=1e-10)
     assert power[20] == pytest.approx(1.0 + 0.2j, abs=1e-9)
     tripped = time_s > 0.101
     assert np.all(power[tripped] == 0.0)

@@ -103,12 +103,12 @@ class Trips:
             return 0.0
         if not p["VtripFlag"]:
             return 1.0
-        here = np.clip(v, p["vl0"], p["vl1"])
-        worst = np.clip(self.low, p["vl0"], here) if "vl1" in self.gone else here
-        below = (worst + p["Vrfrac"] * (here - worst) - p["vl0"]) / (p["vl1"] - p["vl0"])
-        here = np.clip(v, p["vh1"], p["vh0"])
-        worst = np.clip(self.high, here, p["vh0"]) if "vh1" in self.gone else here
-        return below * (p["vh0"] - worst - p["Vrfrac"] * (here - worst)) / (p["vh0"] - p["vh1"])
+        linear = np.clip(v, p["vl0"], p["vl1"])
+        worst = np.clip(self.low, p["vl0"], linear) if "vl1" in self.gone else linear
+        below = (worst + p["Vrfrac"] * (linear - worst) - p["vl0"]) / (p["vl1"] - p["vl0"])
+        linear = np.clip(v, p["vh1"], p["vh0"])
+        worst = np.clip(self.high, linear, p["vh0"]) if "vh1" in self.gone else linear
+        return below * (p["vh0"] - worst - p["Vrfrac"] * (linear - worst)) / (p["vh0"] - p["vh1"])
 
 
 def block_diagram(case, times, V, **changed):
@@ -131,7 +131,7 @@ def block_diagram(case, times, V, **changed):
         whole = p["Kpg"] * error + xi
         outwards = (whole > p["Pmax"] and error > 0) or (whole < p["Pmin"] and error < 0)
         order = np.clip(whole, p["Pmin"], p["Pmax"]) if p["FreqFlag"] else P
-        given = np.clip((order - pord) / p["Tpord"], p["dPmin"], p["dPmax"])
+        rate = np.clip((order - pord) / p["Tpord"], p["dPmin"], p["dPmax"])
         extra = np.clip(p["Kqv"] * off(size[0] - vm, p["dbd1"], p["dbd2"]), p["Iql1"], p["Iqh1"])
         least, most = (0.0 if p["TypeFlag"] else -p["Imax"]), p["Imax"]
         active, reactive = np.clip(pord, p["Pmin"], p["Pmax"]) / max(vm, 0.01), iql + extra
@@ -149,7 +149,7 @@ def block_diagram(case, times, V, **changed):
         rise = min(rise, p["rrpwr"]) if P > 0 else max(rise, -p["rrpwr"])
         slopes = [(u - vm) / p["Trv"], (measured - pm) / p["Tp"], (theta - x) / p["Trf"]]
         slopes += [(share - mult) / p["Tv"], (expected - iql) / p["Tiq"], (mult * reactive - iq) / p["Tg"]]
-        slopes += [0.0 if outwards or not p["FreqFlag"] else p["Kig"] * error, given, rise]
+        slopes += [0.0 if outwards or not p["FreqFlag"] else p["Kig"] * error, rate, rise]
         return np.array(slopes)
 
     s = np.array([size[0], P, angle[0], 1.0, Q / size[0], Q / size[0], P, P, P / size[0]])
@@ -220,11 +220,15 @@ def test_it_follows_the_block_diagram(name):
 def record_line(bus, **changes):
     """Return the DYR record with the constants of the trace; its fh of 2 pu in Hz."""
     traces = tomllib.loads((TRACES / "manifest.toml").read_text())["trace"]
-    given = next(t for t in traces if t["id"] == RECORD.name)["constants"]["DERA1 at 102-1"]
-    given = given | {"TypeFlag": given["GenFlag"], "Iqh1": given["Iqmax"], "Iql1": given["Iqmin"]}
-    given |= {"Vref0": 0.0, "fh": 120.0} | changes
+    constants = next(t for t in traces if t["id"] == RECORD.name)["constants"]["DERA1 at 102-1"]
+    constants = constants | {
+        "TypeFlag": constants["GenFlag"],
+        "Iqh1": constants["Iqmax"],
+        "Iql1": constants["Iqmin"],
+    }
+    constants |= {"Vref0": 0.0, "fh": 120.0} | changes
     fields = dyr_models()["DERA1"][1].fields
-    return f"{bus} 'USRMDL' 1 'DERAU1' 101 1 6 41 10 23 {' '.join(str(given[f]) for f in fields)} /\n"
+    return f"{bus} 'USRMDL' 1 'DERAU1' 101 1 6 41 10 23 {' '.join(str(constants[f]) for f in fields)} /\n"
 
 
 def record_case(folder, text):

@@ -60,14 +60,14 @@ def test_what_it_takes_and_gives_is_its_energy(two, PFLAG):
     shaft = {"Htfrac": 0.85, "Freq1": 1.6} if two else {}
     more = {"TRAIN": 1, "H": 4.0, "PFLAG": PFLAG, "REECA": 1} | shaft
     time_s, own, p = run(more, 3.0, -0.05, [FAULT])
-    given = np.append(0.0, np.cumsum(np.diff(time_s) * 0.5 * (1.0 - p[1:] - p[:-1])))
+    work = np.append(0.0, np.cumsum(np.diff(time_s) * 0.5 * (1.0 - p[1:] - p[:-1])))
     Ht = 4.0 * 0.85 if two else 0.0
     energy = (4.0 - Ht) * ((1.0 + own["wg"]) ** 2 - 1.0)
     if two:
         K = 2.0 * (2.0 * np.pi * 1.6) ** 2 * Ht * (4.0 - Ht) / 4.0
         energy = energy + Ht * ((1.0 + own["wt"]) ** 2 - 1.0) + (own["tsh"] ** 2 - 0.5**2) / (2.0 * K)
-    assert np.ptp(given) > 0.02
-    assert energy == pytest.approx(given, abs=2e-4)  # trapezes over the jumps of P
+    assert np.ptp(work) > 0.02
+    assert energy == pytest.approx(work, abs=2e-4)  # trapezes over the jumps of P
 
 
 @pytest.mark.parametrize("name", TRAINS)

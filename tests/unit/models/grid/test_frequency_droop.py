@@ -79,8 +79,8 @@ def test_a_step_of_load_is_shared_by_the_droops(step, more):
     of_plant = gain * PLANT / 100.0
     expected = -np.sign(step) * (abs(step) + of_plant * band) / (MACHINE / 100.0 / R + of_plant)
     assert df == pytest.approx(expected, rel=1e-5)
-    given = y[-1, plant.output_names.index("pv1.p")] - y[0, plant.output_names.index("pv1.p")]
-    assert given == pytest.approx(-of_plant * np.sign(df) * (abs(df) - band), abs=1e-6)
+    rise = y[-1, plant.output_names.index("pv1.p")] - y[0, plant.output_names.index("pv1.p")]
+    assert rise == pytest.approx(-of_plant * np.sign(df) * (abs(df) - band), abs=1e-6)
 
 
 @pytest.mark.parametrize(("more", "acts"), [({}, True), (BAND, False), ({"plant_FFLAG": 0}, False)])
@@ -118,11 +118,11 @@ def test_a_plant_without_droop_has_neither_its_states_nor_other_bits():
         )
     )
     assert [n for n in other.state_names if n not in one.state_names] == ["pv1.rfr", "pv1.rfi"]
-    kept = [other.state_names.index(n) for n in one.state_names]
+    columns = [other.state_names.index(n) for n in one.state_names]
     moved = one.x + 1e-3 * np.sin(np.arange(one.x.size))
     x = other.x.copy()
-    x[kept] = moved
-    np.testing.assert_array_equal(other.derivatives(x)[0][kept], one.derivatives(moved)[0])
+    x[columns] = moved
+    np.testing.assert_array_equal(other.derivatives(x)[0][columns], one.derivatives(moved)[0])
 
 
 def test_the_sparse_blocks_have_its_state_matrix():
@@ -145,8 +145,8 @@ def imported(folder, band):
 def test_a_record_with_a_droop_is_imported(tmp_path):
     case = imported(tmp_path, "-0.0006 0.0006")
     values = case.converters[0].control.parameters
-    given = [values[f"plant_{key}"] for key in ("Ddn", "Dup", "fdbd1", "fdbd2", "Tfrq")]
-    assert given == [20.0, 5.0, -0.0006, 0.0006, 0.05]
+    result = [values[f"plant_{key}"] for key in ("Ddn", "Dup", "fdbd1", "fdbd2", "Tfrq")]
+    assert result == [20.0, 5.0, -0.0006, 0.0006, 0.05]
     plant = BlockShim(plant_block(case))
     assert np.max(np.abs(plant.derivatives(plant.x)[0])) < 1e-8
     assert any(name.endswith(".rfr") for name in plant.state_names)

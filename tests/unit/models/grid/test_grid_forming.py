@@ -157,10 +157,10 @@ def run(case, seconds, events=(), step_s=0.001, **inputs):
     return time_s, states, {n: y[:, k] for k, n in enumerate(plant.output_names)}
 
 
-def block_diagram(case, first, seconds, at, fault=None, **given):
+def block_diagram(case, first, seconds, at, fault=None, **inputs):
     """Integrate the published block diagram with scipy; bus voltage in closed form, at the limit searched.
 
-    first : states at rest; given : p_mod, q_mod; fault : (begin, end, reactance) of a shunt at the bus.
+    first : states at rest; inputs : p_mod, q_mod; fault : (begin, end, reactance) of a shunt at the bus.
     """
     p = {q.name: q.default for q in library()["regfm_a1"].device.parameters}
     p |= {k: float(v) for k, v in case.converters[0].control.parameters.items()}
@@ -189,9 +189,9 @@ def block_diagram(case, first, seconds, at, fault=None, **given):
         pf, qf, vf, xa, xb, xc, xd, delta, e = s
         V, I = bus(t, e * np.exp(1j * delta))
         S = V * np.conj(I)
-        dw = p["mp"] * (pset + given.get("p_mod", 0.0) - pf)
+        dw = p["mp"] * (pset + inputs.get("p_mod", 0.0) - pf)
         dw += min(p["kppmax"] * (p["Pmax"] - pf) + xa, 0) + max(p["kppmax"] * (p["Pmin"] - pf) + xb, 0)
-        v = vset - p["mq"] * qf + given.get("q_mod", 0.0)
+        v = vset - p["mq"] * qf + inputs.get("q_mod", 0.0)
         v += min(p["kpqmax"] * (p["Qmax"] - qf) + xc, 0) + max(p["kpqmax"] * (p["Qmin"] - qf) + xd, 0)
 
         def held(x, rate, sign):

@@ -19,8 +19,8 @@ linux = pytest.mark.skipif(sys.platform != "linux", reason="nothing tells there 
 
 def machine(root: Path, **files: str) -> Path:
     """A pretended machine with 4 GiB, and files of its own by their paths."""
-    given = {"proc/meminfo": "MemTotal: 9 kB\nMemAvailable:    4194304 kB\n", **files}
-    for name, text in given.items():
+    contents = {"proc/meminfo": "MemTotal: 9 kB\nMemAvailable:    4194304 kB\n", **files}
+    for name, text in contents.items():
         path = root / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text)

@@ -32,8 +32,8 @@ GOVERNOR = {"kind": "tgov1", "R": 0.05, "T1": 0.5, "T2": 1.0, "T3": 5.0, "Dt": 0
 
 
 def case(**change: object) -> Case:
-    made = case_of(DOCUMENT, where="test")
-    return made.with_changes({"machines": change}) if change else made
+    result = case_of(DOCUMENT, where="test")
+    return result.with_changes({"machines": change}) if change else result
 
 
 def test_one_machine_against_it_swings_as_the_closed_form_says() -> None:

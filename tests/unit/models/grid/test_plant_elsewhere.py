@@ -203,7 +203,7 @@ def imported(folder, where):
 
 
 @pytest.mark.parametrize(
-    ("where", "wanted"),
+    ("where", "expected"),
     [
         ("4 0 0 0", (None, None, None)),
         ("10 0 0 0", (10, None, None)),
@@ -211,10 +211,10 @@ def imported(folder, where):
         ("0 9 8 '9'", (None, "8-9 9", 9)),
     ],
 )
-def test_a_record_names_bus_and_branch(tmp_path, where, wanted):
+def test_a_record_names_bus_and_branch(tmp_path, where, expected):
     case = imported(tmp_path, where)
     row = case.converters[0]
-    assert (row.regulates, row.measures, row.measures_from) == wanted
+    assert (row.regulates, row.measures, row.measures_from) == expected
     plant = BlockShim(plant_block(case))
     assert np.max(np.abs(plant.derivatives(plant.x)[0])) < 1e-8
 

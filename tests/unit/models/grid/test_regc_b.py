@@ -75,8 +75,8 @@ def block_diagram(first, at, p, p_mod, q_mod):
         iqc = np.clip(iql, -most, most)
         ipc = np.clip(pord / vm, 0.0, np.sqrt(most**2 - iqc**2))
         towards = ipc * vf if p["RATEFLAG"] else ipc
-        given = ipg / vf if p["RATEFLAG"] else ipg
-        target = (given - 1j * iqg) + u * Y
+        current = ipg / vf if p["RATEFLAG"] else ipg
+        target = (current - 1j * iqg) + u * Y
         return [
             (u - vm) / 0.02,
             (u - vf) / 0.02,
@@ -152,8 +152,8 @@ def imported(folder, record=RECORD):
 def test_a_record_becomes_a_converter_behind_the_impedance_of_the_raw_file(tmp_path):
     case = imported(tmp_path)
     values = case.converters[0].control.parameters
-    given = [values[key] for key in ("REGCB", "RATEFLAG", "Tfltr", "Iqrmin", "Te", "ICON", "Imax")]
-    assert given == [1.0, 1.0, 0.03, -99.0, 0.015, 1.2, 1.3]
+    result = [values[key] for key in ("REGCB", "RATEFLAG", "Tfltr", "Iqrmin", "Te", "ICON", "Imax")]
+    assert result == [1.0, 1.0, 0.03, -99.0, 0.015, 1.2, 1.3]
     assert values["Xe"] == pytest.approx(load_case("kundur-pss").machine("G4").Xd1, rel=1e-9)
     plant = BlockShim(plant_block(case))
     assert np.max(np.abs(plant.derivatives(plant.x)[0])) < 1e-8

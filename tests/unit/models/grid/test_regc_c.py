@@ -102,8 +102,8 @@ def block_diagram(first, at, p, p_mod, q_mod):
         expected = ipg / vf if p["RATEFLAG"] else ipg
         current = (complex(ed, eq) - own) * Y
         error_p, error_q = expected - current.real, iqg + current.imag
-        given = complex(p["Kip"] * error_p + xp, -(p["Kip"] * error_q + xq))
-        target = own + z * given
+        voltage = complex(p["Kip"] * error_p + xp, -(p["Kip"] * error_q + xq))
+        target = own + z * voltage
         w = p["Kppll"] * own.imag + xw
         stands = (w > p["wmax"] and own.imag > 0.0) or (w < p["wmin"] and own.imag < 0.0)
         return [

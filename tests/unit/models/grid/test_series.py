@@ -86,9 +86,9 @@ def test_at_any_reactance_the_plant_is_that_of_such_a_line(network, x):
     other = BlockShim(plant_block(by_hand(case, x), more=shown))
     at = plant.x.copy()
     at[plant.state_names.index("tcsc1.x")] = x
-    kept = [k for k, name in enumerate(plant.state_names) if name != "tcsc1.x"]
-    assert [plant.state_names[k] for k in kept] == list(other.state_names)
-    check_same(plant, plant.derivatives(at)[1], other, other.derivatives(at[kept])[1])
+    columns = [k for k, name in enumerate(plant.state_names) if name != "tcsc1.x"]
+    assert [plant.state_names[k] for k in columns] == list(other.state_names)
+    check_same(plant, plant.derivatives(at)[1], other, other.derivatives(at[columns])[1])
 
 
 def check_same(plant, y, other, expected):
@@ -139,9 +139,9 @@ def test_a_bypass_leaves_the_line(network):
     events = events_of([{"kind": "device_trip", "device": "tcsc1", "start_s": 0.1}], where="test")
     plant = BlockShim(plant_block(case, network=network, more=shown), event_parameters(case, events))
     _, x, y = plant.run(0.3, 0.002)
-    kept = [k for k, name in enumerate(plant.state_names) if name != "tcsc1.x"]
+    columns = [k for k, name in enumerate(plant.state_names) if name != "tcsc1.x"]
     other = BlockShim(plant_block(by_hand(case, 0.0), more=shown))
-    check_same(plant, y[-1], other, other.derivatives(x[-1, kept])[1])
+    check_same(plant, y[-1], other, other.derivatives(x[-1, columns])[1])
 
 
 @pytest.mark.parametrize("network", ["dense", "sparse"])

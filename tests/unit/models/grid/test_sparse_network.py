@@ -305,9 +305,9 @@ def test_a_page_of_a_dense_network_has_no_other() -> None:
     with pytest.raises(BlockFailure, match=r"plant\.counts"):
         BlockShim(plant_block(case, network="sparse"), flags=alone)
 
-    kept = {
+    lines = {
         name: page_sources(load_case(name))["layout.h"].startswith(b"#define PLANT_DENSE\n")
         for name in ("two-area-thesis", "new-england")
     }
     large = page_sources(mesh(12, 12))["layout.h"]
-    assert all(kept.values()) and not large.startswith(b"#define PLANT_DENSE\n")
+    assert all(lines.values()) and not large.startswith(b"#define PLANT_DENSE\n")

@@ -50,11 +50,11 @@ def test_the_power_flow_leaves_at_one_end_what_line_and_losses_leave_of_the_othe
     assert flow.at_buses[0] * 100.0 == pytest.approx(complex(-P, 10.0), abs=1e-10)
     assert flow.inverters[0] * 100.0 == pytest.approx(complex(300.0 * current - 1.5, -20.0), abs=1e-10)
     # what branches, loads and shunts leave at its buses
-    for bus, given in ((7, flow.at_buses[0]), (9, flow.inverters[0])):
+    for bus, power in ((7, flow.at_buses[0]), (9, flow.inverters[0])):
         out = sum(flow.flow(b.name, bus) for b in case.branches if bus in (b.from_bus, b.to_bus))
         load = sum(complex(q.P_mw, q.Q_mvar) for q in case.loads if q.bus == bus) / 100.0
         shunt = sum(q.Q_mvar for q in case.shunts if q.bus == bus) / 100.0 * abs(flow.voltage(bus)) ** 2
-        assert abs(given - load + 1j * shunt - out) < 1e-12
+        assert abs(power - load + 1j * shunt - out) < 1e-12
 
 
 @pytest.mark.parametrize("network", ["dense", "sparse"])
@@ -279,8 +279,8 @@ def test_the_end_that_keeps_its_power_leaves_the_link_before_its_voltage_is_gone
     _, x, y = plant.run(0.6, 5e-4)
     v = x[:, plant.state_names.index("vsc1.vdc")]
     assert 0.6 < v[-2] < 0.8 and np.min(v) > 0.4
-    given = y[-2, plant.output_names.index("vsc1.p_from")]
-    assert 0.0 < given < 0.6
+    power = y[-2, plant.output_names.index("vsc1.p_from")]
+    assert 0.0 < power < 0.6
 
 
 @pytest.mark.parametrize(

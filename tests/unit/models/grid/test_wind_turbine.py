@@ -124,8 +124,8 @@ def block_diagram(first, at, p, p_mod, events):
         blades = 1.0 + x["wt"] if Ht > 0.0 else speed
         error = speed - x["wref"]
         if p["Tflag"] == 1:
-            asked = x["pext"] if plant else P0 + p_mod
-            error = (asked * ratio - x["pet"]) / speed
+            request = x["pext"] if plant else P0 + p_mod
+            error = (request * ratio - x["pet"]) / speed
         torque = np.clip(x["torqi"] + p["torque_Kpp"] * error, p["Temin"], p["Temax"])
         pref = torque * speed / ratio + (0.0 if p["Tflag"] == 1 else p_mod)
         more = x["pord"] - pref
@@ -217,12 +217,12 @@ def test_what_the_wind_gives_and_the_grid_takes_is_its_energy(name):
     time_s, own, out = course(behind_a_line(more | DEEP), 2.0, 0.001, {}, [FAULT])
     theta = own["pitch"]
     net = 0.5 - 0.007 * theta * (theta - more.get("theta0", 0.0)) - out[f"{NAME}.p"]
-    given = np.append(0.0, np.cumsum(np.diff(time_s) * 0.5 * (net[1:] + net[:-1])))
+    work = np.append(0.0, np.cumsum(np.diff(time_s) * 0.5 * (net[1:] + net[:-1])))
     Ht, Hg = 4.0 * 0.85, 4.0 * 0.15
     K = 2.0 * (2.0 * np.pi * 1.6) ** 2 * Ht * Hg / 4.0
     energy = Ht * (1.0 + own["wt"]) ** 2 + Hg * (1.0 + own["wg"]) ** 2 + own["tsh"] ** 2 / (2.0 * K)
-    assert np.ptp(given) > 0.015
-    assert energy - energy[0] == pytest.approx(given, abs=2e-4)  # trapezes over the jumps of P
+    assert np.ptp(work) > 0.015
+    assert energy - energy[0] == pytest.approx(work, abs=2e-4)  # trapezes over the jumps of P
 
 
 def test_the_sparse_blocks_have_its_state_matrix():

@@ -152,9 +152,9 @@ def test_a_flow_without_solution_keeps_its_voltages(tmp_path: Path) -> None:
     raw.write_text(FOUR.replace("80.0,20.0,5.0", "8000.0,20.0,5.0"))
     with pytest.raises(PowerFlowError) as error:
         import_psse(raw)
-    kept = error.value.voltages
-    assert sorted(kept) == [1, 2, 3] and abs(kept[1]) == pytest.approx(1.02)
-    assert f"to {max(map(abs, kept.values())):.4g} pu at bus 3" in str(error.value)
+    voltages = error.value.voltages
+    assert sorted(voltages) == [1, 2, 3] and abs(voltages[1]) == pytest.approx(1.02)
+    assert f"to {max(map(abs, voltages.values())):.4g} pu at bus 3" in str(error.value)
 
 
 def test_whatever_version_a_file_says_it_is_read_rightly_or_refused_with_its_line(tmp_path: Path) -> None:

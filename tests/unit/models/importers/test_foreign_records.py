@@ -51,9 +51,9 @@ def test_a_classical_machine_without_reactance_names_the_line_of_its_unit(tmp_pa
 
 @pytest.mark.parametrize("option", ["leave_out", "replace"])
 def test_a_model_that_the_file_does_not_have_is_refused(tmp_path: Path, option: str) -> None:
-    given = {"OLTC": "SEXS"} if option == "replace" else ["OLTC"]
+    option_value = {"OLTC": "SEXS"} if option == "replace" else ["OLTC"]
     with pytest.raises(CaseError, match=r"'OLTC': no record of that model, allowed: GENROU, SEXS"):
-        taken(tmp_path, SEXS, **{option: given})
+        taken(tmp_path, SEXS, **{option: option_value})
 
 
 def test_a_record_read_as_another_model_is_that_model(tmp_path: Path) -> None:
@@ -73,8 +73,8 @@ def test_a_record_read_as_another_model_is_that_model(tmp_path: Path) -> None:
 def test_wsieg1_without_deadbands_and_curve_is_ieeeg1(tmp_path: Path) -> None:
     western = taken(tmp_path, f"1 'WSIEG1' 1 {TURBINE} {' '.join(['0'] * 14)} /\n").case.machine("G1")
     plain = taken(tmp_path, f"1 'IEEEG1' 1 {TURBINE} /\n").case.machine("G1")
-    given = [m.governor.model_dump(exclude={"source"}) for m in (western, plain)]
-    assert given[0] == given[1]
+    governors = [m.governor.model_dump(exclude={"source"}) for m in (western, plain)]
+    assert governors[0] == governors[1]
 
 
 def test_a_field_that_is_not_used_is_named_where_it_is_not_0(tmp_path: Path) -> None:
@@ -155,11 +155,11 @@ def test_a_load_record_that_says_nothing_is_refused(tmp_path: Path, record: str,
 def test_the_options_of_the_command(interarea, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     (tmp_path / "grid.raw").write_text(RAW)
     (tmp_path / "grid.dyr").write_text(MACHINES)
-    given = ("import", str(tmp_path / "grid.raw"), "--dyr", str(tmp_path / "grid.dyr"))
-    given = (*given, "--out", str(tmp_path / "g.toml"))
+    arguments = ("import", str(tmp_path / "grid.raw"), "--dyr", str(tmp_path / "grid.dyr"))
+    arguments = (*arguments, "--out", str(tmp_path / "g.toml"))
     for option, said in (
         (("--replace", "WSIEG1"), "--replace 'WSIEG1', allowed: MODEL=MODEL"),
         (("--leave-out", "OLTC"), "leave_out 'OLTC': no record of that model"),
     ):
-        code, _, err = interarea(*given, *option)
+        code, _, err = interarea(*arguments, *option)
         assert (code, said in err) == (2, True)

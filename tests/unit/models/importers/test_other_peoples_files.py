@@ -154,9 +154,9 @@ def test_a_unit_at_a_bus_of_type_1_is_decided_by_the_stored_voltages(tmp_path: P
     assert "left out" in reported and len(with_one.case.machines) == 4
     assert with_one.case.machines == taken(tmp_path, stored).case.machines
     of_type_1 = stored.replace("\n2,'a/b, 2',0.0,2,", "\n2,'a/b, 2',0.0,1,")
-    kept = taken(tmp_path, of_type_1)
-    (reported,) = (what for what in kept.report.assumed if "bus of type 1" in what)
-    assert "a solution with it" in reported and len(kept.case.machines) == 4
+    retained = taken(tmp_path, of_type_1)
+    (reported,) = (what for what in retained.report.assumed if "bus of type 1" in what)
+    assert "a solution with it" in reported and len(retained.case.machines) == 4
 
 
 def _stored(raw: str, solved: Imported) -> str:

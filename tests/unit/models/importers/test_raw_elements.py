@@ -263,10 +263,10 @@ def test_a_vsc_line_loses_what_its_converters_and_its_resistance_do(tmp_path: Pa
         "3,1,1,300.0,1.0,200.0,0.0,250.0,0,0,1,99,-99,0,100",
     ]
     loads = {q.bus: q for q in static(tmp_path, VSC_dc=rows).loads if q.letter == "D"}
-    drawn, given = loads[3].p, -loads[2].p
+    drawn, delivered = loads[3].p, -loads[2].p
     current = (drawn - 0.25) / 300.0  # kA; the loss at the voltage end is its least, 250 kW
     loss = 0.1 + 0.0005 * 1000.0 * current
-    assert given == 40.0 and loads[2].q_free
+    assert delivered == 40.0 and loads[2].q_free
     assert drawn == pytest.approx(40.0 + loss + 0.25 + 2.0 * current**2, rel=1e-12)
 
 
@@ -384,10 +384,10 @@ ISLAND = {
 
 def test_islands_one_is_kept_by_choice(tmp_path: Path) -> None:
     text = raw_grid(33, extra=ISLAND)
-    kept = of_text(tmp_path, text)
-    assert [bus.number for bus in kept.case.buses] == [1, 2, 3]
+    island = of_text(tmp_path, text)
+    assert [bus.number for bus in island.case.buses] == [1, 2, 3]
     assert any(
-        "island of 2 buses with a slack bus of its own (bus 11)" in what for what in kept.report.dropped
+        "island of 2 buses with a slack bus of its own (bus 11)" in what for what in island.report.dropped
     )
     assert [bus.number for bus in of_text(tmp_path, text, island=12).case.buses] == [11, 12]
     with pytest.raises(CaseError, match="island = 77, allowed: the number of a bus in service"):
