@@ -366,8 +366,8 @@ def latency_damping_plot(
     return figure
 
 
-def hankel_plot(values: Mapping[str, npt.ArrayLike], kept: Mapping[str, int]) -> Figure:
-    """Draw Hankel singular values (not dB) on a log axis; the order kept is a vertical line."""
+def hankel_plot(values: Mapping[str, npt.ArrayLike], orders: Mapping[str, int]) -> Figure:
+    """Draw Hankel singular values (not dB) on a log axis; a vertical line marks each order in `orders`."""
     figure, axes = new_figure(height=2.3)
     with mpl.rc_context(STYLE):
         for k, (label, hankel) in enumerate(values.items()):
@@ -382,8 +382,8 @@ def hankel_plot(values: Mapping[str, npt.ArrayLike], kept: Mapping[str, int]) ->
                 linewidth=0.8,
                 label=label,
             )
-            if label in kept:
-                axes.axvline(kept[label] + 0.5, color=SERIES[k], linewidth=0.9, linestyle=(0, (2, 2)))
+            if label in orders:
+                axes.axvline(orders[label] + 0.5, color=SERIES[k], linewidth=0.9, linestyle=(0, (2, 2)))
         _powers_as_text(axes.yaxis)
         axes.set_xlabel("state of the balanced plant")
         axes.set_ylabel("Hankel singular value")
