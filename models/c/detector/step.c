@@ -200,14 +200,30 @@ static int moved(const Block *b, const double *m, size_t back, size_t count)
     return most - least > (double)count * b->p[P_MOVING];
 }
 
+/* Whether frame `number` of a signal has the bits of an earlier one. Each such frame is looked for once. */
+static int comes_from_before(double *m, size_t number)
+{
+    const double *ring = m + DM_FRAME + 1, value = ring[2 * (number % DETECTOR_FRAMES)];
+    const size_t oldest = (size_t)m[DM_FRAMES] - frames(m);
+
+    if (m[DM_LOOKED] == (double)number) return m[DM_FOUND] != 0.0;
+    m[DM_LOOKED] = (double)number;
+    m[DM_FOUND] = 0.0;
+    for (size_t k = oldest; k < number; ++k)
+        if (ring[2 * (k % DETECTOR_FRAMES)] == value) m[DM_FOUND] = 1.0;
+    return m[DM_FOUND] != 0.0;
+}
+
 /* Whether the frames of signal i up to stamp c are those of some time before, and those of another signal not. */
 static int replayed(const Block *b, size_t i, double c)
 {
-    const double *m = memory_of(b, i), *ring = m + DM_FRAME + 1;
+    double *m = memory_of(b, i);
+    const double *ring = m + DM_FRAME + 1;
     const size_t count = (size_t)b->ip[IP_REPEATS], back = newer(m, c), stored = frames(m);
 
     if (!moved(b, m, back, count)) return 0;
     const size_t first = (size_t)m[DM_FRAMES] - 1 - back;
+    if (!comes_from_before(m, first - first % count)) return 0; /* one of `count` in a row has such a number */
     const double value = ring[2 * (first % DETECTOR_FRAMES)];
     for (size_t lag = 1; back + lag + count <= stored; ++lag) {
         if (ring[2 * ((first - lag) % DETECTOR_FRAMES)] != value) continue;   /* most lags end here */

@@ -110,14 +110,15 @@ def replay(signal: str, length_s: float, start_s: float = 3.0) -> Sent:
     return sent
 
 
+@pytest.mark.parametrize("start_s", [3.0, 3.02, 3.1, 3.18])  # frames 150 to 159: which of ten is looked for
 @pytest.mark.parametrize("length_s", [0.12, 0.5, 1.5, 2.0])
-def test_a_replay_is_named_by_frames_that_come_again(detector: Path, length_s: float) -> None:
+def test_a_replay_is_named_by_frames_that_come_again(detector: Path, length_s: float, start_s: float) -> None:
     """The tenth frame that was there before; 2 s is the period, so that the replay is a right swing."""
-    verdicts = follow(detector, noisy({"b": replay("b", length_s)}))
+    verdicts = follow(detector, noisy({"b": replay("b", length_s, start_s)}))
     at_s, reason = verdicts["b"][0]
     assert reason == "replay"
     # what is compared at one stamp waits for the slowest of the signals
-    assert at_s == pytest.approx(3.0 + 9 * FRAME_S + max(AGE_S.values()))
+    assert at_s == pytest.approx(start_s + 9 * FRAME_S + max(AGE_S.values()))
     assert all(verdicts[s] == [] for s in "acd")
 
 
