@@ -104,7 +104,8 @@ enum {
 };
 enum {
     DM_ISOLATED, DM_REASON, DM_FAILED_AT, DM_FAILURES, DM_REPEATS, DM_MOVES, DM_FRAMES, DM_MEAN, DM_SPAN, DM_BEND,
-    DM_LOOKED, DM_FOUND, /* a frame that was looked for among those before it, and whether it is there */
+    DM_BENDS, DM_BEND_COUNT, /* sum and number of the last bends, of which DM_BEND is the mean */
+    DM_LOOKED, DM_REPEATED, /* a frame that was looked for among those before it, and whether it is there */
     DM_PATTERN, /* windows in a row that left more than `lasting` */
     DM_ALONE, DM_LEAST, DM_MOST, /* stamp since which a signal swings alone, and the range of its swing from there */
     DM_SWING, DM_AT_STOP, /* span less the trend; the same two averages after all were taken out */

@@ -1,5 +1,7 @@
 #include "stamps.h"
 
+#include <stdint.h>
+
 /* A swing whose span falls by less than this in `standing_time` stands: at 0.6 Hz and 15 s a damping of 0.9 %. One of
  * a signal alone in 1.5 `average`: at 1.2 Hz and 3 s a damping of 2.3 %. */
 static const double STEADY = 0.6;
@@ -11,6 +13,7 @@ static const double GROWS = 2.0, RISES = 1.3, GROWTHS = 4.0;
 /* A bend so many times the mean of those before it. A swing of .2 Hz or more that grows by e a second at most has 3.2
  * times the mean, noise has more than SHARP times it at one stamp in 15000. */
 static const double SHARP = 5.0;
+static const double UNIT = 1e-12; /* pu, of a bend; fifty bends of 1 pu are less than the 2^53 of an exact sum */
 
 /* Rise from stamp to stamp of the line that least squares lay through every TREND-th of the stamps in memory; 0 where
  * more than a quarter of them lacks a value. */
@@ -94,22 +97,27 @@ static double bend(const double *m, size_t newest, size_t back)
     return fabs(u[c % DETECTOR_STAMPS] - 2.0 * u[(c - 1) % DETECTOR_STAMPS] + u[(c - 2) % DETECTOR_STAMPS]);
 }
 
-/* Of the last bends the number that is known, the mean of these, and how many are larger than a limit. */
-static size_t bends(const double *m, size_t newest, double limit, double *mean, size_t *larger)
+/* Of the last bends the number that is known, and how many are larger than a limit. */
+static size_t bends(const double *m, size_t newest, double limit, size_t *larger)
 {
     size_t known = 0;
-    double sum = 0.0;
 
     *larger = 0;
     for (size_t back = 0; back < DETECTOR_ROUGH; ++back) {
         const double value = bend(m, newest, back);
-        if (isnan(value)) continue;
-        sum += value;
         *larger += value > limit;
-        ++known;
+        known += !isnan(value);
     }
-    *mean = known > 0 ? sum / (double)known : 0.0;
     return known;
+}
+
+/* Adds a bend to those of which the mean is taken, or takes it away. Their sum is an integer number of UNIT, so that
+ * what is taken away leaves nothing. */
+static void add_bend(double *m, double value, double sign)
+{
+    if (isnan(value)) return;
+    m[DM_BENDS] += sign * (double)(int64_t)(fmin(value, 1.0) / UNIT);
+    m[DM_BEND_COUNT] += sign;
 }
 
 /* Compares how rough the signals are. */
@@ -117,30 +125,30 @@ void compare_bends(Block *b, double t)
 {
     const size_t newest = (size_t)b->memory[M_STAMPS] - 1;
     size_t known, larger;
-    double mean;
 
     if (newest + 1 < DETECTOR_ROUGH + 2) return;
     for (size_t i = 0; i < count_of(b); ++i) {
-        double *m = memory_of(b, i);
-        (void)bends(m, newest, 0.0, m + DM_BEND, &larger);
-    }
-    for (size_t i = 0; i < count_of(b); ++i) {
         const double limit = limits_of(b, i)[S_ROUGH] + 2.0 * most_of_others(b, i, DM_BEND);
         if (!b->iu[i] || 2.0 * memory_of(b, i)[DM_BEND] <= limit) continue; /* so is the median */
-        known = bends(memory_of(b, i), newest, limit, &mean, &larger);
+        known = bends(memory_of(b, i), newest, limit, &larger);
         if (4 * known >= 3 * DETECTOR_ROUGH && 2 * larger > known) detector_fail(b, i, t, REASON_ROUGH);
     }
 }
 
-/* Notes a disturbance at the newest stamp, whose number is `newest`: two signals or more bend sharply there. */
-void note_disturbance(Block *b, size_t newest)
+/* Takes the bends at the newest stamp, whose number is `newest`, into their means. Notes a disturbance where two signals
+ * or more bend sharply. */
+void note_bends(Block *b, size_t newest)
 {
     size_t sharp = 0;
 
     if (newest < 2) return;
     for (size_t i = 0; i < count_of(b); ++i) {
-        const double *m = memory_of(b, i);
-        sharp += trusted(b, i) && bend(m, newest, 0) > b->p[P_MOVING] + SHARP * m[DM_BEND];
+        double *m = memory_of(b, i);
+        const double value = bend(m, newest, 0);
+        sharp += trusted(b, i) && value > b->p[P_MOVING] + SHARP * m[DM_BEND];
+        add_bend(m, value, 1.0);
+        if (newest >= DETECTOR_ROUGH + 2) add_bend(m, bend(m, newest, DETECTOR_ROUGH), -1.0);
+        m[DM_BEND] = m[DM_BEND_COUNT] > 0.0 ? UNIT * m[DM_BENDS] / m[DM_BEND_COUNT] : 0.0;
     }
     if (sharp > 1) b->memory[M_DISTURBED] = (double)newest + 1.0;
 }

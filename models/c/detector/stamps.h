@@ -3,7 +3,7 @@
 /* Tests of a detector that compare signals over the last stamps. */
 #include "detector.h"
 
-void note_disturbance(Block *b, size_t newest); /* at the newest stamp, if there is one */
+void note_bends(Block *b, size_t newest); /* how sharply all bend at the newest stamp */
 void compare_bends(Block *b, double t); /* how rough the signals are */
 void compare_means(Block *b, double t); /* means, spans, the swing of all */
 

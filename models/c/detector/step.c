@@ -206,12 +206,12 @@ static int comes_from_before(double *m, size_t number)
     const double *ring = m + DM_FRAME + 1, value = ring[2 * (number % DETECTOR_FRAMES)];
     const size_t oldest = (size_t)m[DM_FRAMES] - frames(m);
 
-    if (m[DM_LOOKED] == (double)number) return m[DM_FOUND] != 0.0;
+    if (m[DM_LOOKED] == (double)number) return m[DM_REPEATED] != 0.0;
     m[DM_LOOKED] = (double)number;
-    m[DM_FOUND] = 0.0;
+    m[DM_REPEATED] = 0.0;
     for (size_t k = oldest; k < number; ++k)
-        if (ring[2 * (k % DETECTOR_FRAMES)] == value) m[DM_FOUND] = 1.0;
-    return m[DM_FOUND] != 0.0;
+        if (ring[2 * (k % DETECTOR_FRAMES)] == value) m[DM_REPEATED] = 1.0;
+    return m[DM_REPEATED] != 0.0;
 }
 
 /* Whether the frames of signal i up to stamp c are those of some time before, and those of another signal not. */
@@ -263,7 +263,8 @@ static void compare(Block *b, double t)
     if (reached - m[M_STAMP] >= (double)DETECTOR_FRAMES) { /* after a pause of all of them */
         m[M_STAMP] = reached;
         m[M_STAMPS] = m[M_SINCE] = m[M_COMPARED] = m[M_GROWN] = m[M_DISTURBED] = 0.0;
-        for (size_t i = 0; i < count_of(b); ++i) memory_of(b, i)[DM_ALONE] = 0.0;
+        for (size_t i = 0; i < count_of(b); ++i)
+            memory_of(b, i)[DM_ALONE] = memory_of(b, i)[DM_BENDS] = memory_of(b, i)[DM_BEND_COUNT] = 0.0;
     }
     (void)patterns_of(b->record, count_of(b), &patterns);
     for (; m[M_STAMP] <= reached; m[M_STAMP] += 1.0, m[M_STAMPS] += 1.0) {
@@ -272,7 +273,7 @@ static void compare(Block *b, double t)
             own[DM_ALIGNED + (size_t)m[M_STAMPS] % DETECTOR_STAMPS] =
                 present(b, i, t) ? value_at(b, own, m[M_STAMP] * interval) : NAN;
         }
-        note_disturbance(b, (size_t)m[M_STAMPS]);
+        note_bends(b, (size_t)m[M_STAMPS]);
         if (patterns.frames > 0 && fmod(m[M_STAMP] + 1.0, (double)patterns.frames) == 0.0)
             compare_patterns(b, &patterns, t);
     }

@@ -160,6 +160,22 @@ def test_noise_is_named_by_the_median_of_what_it_bends(detector: Path) -> None:
     assert all(verdicts[s] == [] for s in "abd")
 
 
+def test_bends_of_before_leave_nothing_in_their_mean(detector: Path) -> None:
+    """All bend by 4e-3 until 3.5 s and one is lost for a while: noise at 6 s is named at the same stamp."""
+
+    def run(before: float) -> list[tuple[float, str]]:
+        def sent(name: str, s: float) -> float:
+            bent = before * (s < 3.5) * (1.0 if round(s / FRAME_S) % 2 else -1.0)
+            return bent + true_noise(name, s) * (10.0 if name == "c" and s >= 6.0 - 1e-9 else 1.0)
+
+        each: dict[str, Sent] = {t: lambda s, v, name=t: sent(name, s) for t in SIGNALS}  # type: ignore[misc]
+        return follow(detector, each, 8.0, lambda s, t: before > 0.0 and s == "a" and 4.0 <= t < 4.3)["c"]
+
+    named = run(0.0)
+    assert [why for _, why in named] == ["rough"]
+    assert run(1e-3) == named
+
+
 def test_noise_of_all_signals_is_no_wrong_one(detector: Path) -> None:
     random = np.random.default_rng(2)
     verdicts = follow(detector, {s: rough(random, 1e-2 / 60.0) for s in SIGNALS})
@@ -310,7 +326,7 @@ def test_two_disturbances_in_a_row_do_not(detector: Path, first_s: float, noise_
 
 
 def test_growth_counts_from_a_disturbance_on(detector: Path) -> None:
-    """A beat rises to 2.9 times itself in 2 s: growth, but for the bend of the disturbance before it."""
+    """A beat rises to 2.9 times itself in 2 s: growth, but for the sharp bend where it begins."""
 
     def beat(since: float) -> float:
         return 1.2e-3 * (1.0 + 0.95 * since if since < 2.0 else 2.9) if since > 0.0 else 0.0
