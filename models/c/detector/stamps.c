@@ -106,7 +106,7 @@ static size_t bends(const double *m, size_t newest, double limit, size_t *larger
     for (size_t back = 0; back < DETECTOR_ROUGH; ++back) {
         const double value = bend(m, newest, back);
         *larger += value > limit;
-        known += !isnan(value);
+        if (!isnan(value)) ++known;
     }
     return known;
 }
