@@ -61,7 +61,7 @@ def test_rows_are_those_of_the_package_in_one_process_and_in_others(
     (tmp_path / "scratch").mkdir()
     with Runner(again, cache, tmp_path / "scratch") as runner:
         rows = sorted((o.row for o in runner.outcomes(range(4))), key=lambda row: row["run"])
-        plants = [system.participants["plant"] for system in runner._kept.values()]
+        plants = [system.participants["plant"] for system in runner._live.values()]
         if runner.lanes > 1:
             assert all(p.group is not None and p.group is not runner.library for p in plants)
     result = pd.DataFrame(rows)[["run", "damping_inter_area", "peak_pu", "energy_pu2s"]]

@@ -44,7 +44,7 @@ def test_an_isolated_fmu_that_crashes_is_a_row_and_the_other_runs_are_there(
     plan = plan_sweep(load_sweep(own(isolate=True, abort_at=0.5)), cache)
     with Runner(plan, cache, tmp_path) as runner:
         rows = [o.row for o in runner.outcomes(range(3))]
-        system = next(iter(runner._kept.values()))
+        system = next(iter(runner._live.values()))
         assert isinstance(system.participants["mine"], WorkerParticipant)
     assert [row["status"] for row in rows] == ["ok", "failed", "ok"]
     assert rows[1]["failure"] == "fmu"
