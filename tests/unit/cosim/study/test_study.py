@@ -339,6 +339,7 @@ def test_one_wide_area_controller_at_five_operating_points(two_area: Case, cache
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(900)  # two minutes alone, beyond five beside other tests on a busy machine
 def test_the_whole_study(tmp_path: Path, cache: Path) -> None:
     """What the study must show, on real FMUs."""
     stages: dict[str, float] = {}
