@@ -36,7 +36,7 @@ __all__ = [
 ]
 ZIG = "ziglang==0.17.1"  #: one version: a rebuild gives the same bytes
 _NEEDED = ("fmpy", "numpy", "pydantic", "scipy")  #: of the dependencies, by interarea/binaries.py
-_EXPECTED = "INTERAREA_WHEEL_PLATFORMS"  #: from `build_wheel` to `BuildPy`
+_CHOICE = "INTERAREA_WHEEL_PLATFORMS"  #: from `build_wheel` to `BuildPy`
 _Settings = dict[str, Any] | None
 
 
@@ -53,7 +53,7 @@ def build_wheel(
     wheel_directory: str, config_settings: _Settings = None, metadata_directory: str | None = None
 ) -> str:
     """PEP 517."""
-    os.environ[_EXPECTED] = (config_settings or {}).get("platforms", "all")
+    os.environ[_CHOICE] = (config_settings or {}).get("platforms", "all")
     return build_meta.build_wheel(wheel_directory, config_settings, metadata_directory)
 
 
@@ -62,7 +62,7 @@ class BuildPy(build_py):
 
     def run(self) -> None:
         super().run()
-        choice = os.environ.get(_EXPECTED, "none")
+        choice = os.environ.get(_CHOICE, "none")
         if self.editable_mode or choice == "none":
             return
         copy = Path(self.build_lib).absolute()

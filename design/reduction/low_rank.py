@@ -41,9 +41,7 @@ _ENDS, _OF_CUT = 1e-8, 1.0  # of Y' Z, or of the first value cut: growth where t
 _POOR = 1e-2  # where it did not work at all
 _ZERO = 1e-4  # 1/s: modes nearer to 0 are the rotation of all rotors, and with constant torque their speed
 _TURNS, _LOOKS, _STILL = 8, 4, 1e-9  # of the iteration for zero modes between two looks; its end
-_LEAST_ZERO_MODE = (
-    1e-9  # of the largest: a zero mode with less than that of input and output is none of the response
-)
+_LEAST_ZERO_MODE = 1e-9  # share of input and output below which a zero mode is none of the response
 _CHECK_HZ, _CHECKED, _RINGING = (0.1, 2.5), 40, 0.2
 
 

@@ -115,22 +115,22 @@ def read_pieces(
 
 def _cut(tables: Iterator[Table], every_s: float) -> Iterator[tuple[float, Table]]:
     """Yield start, s, and table of each part; rows stay in the order of the file."""
-    joined: list[Table] = []
+    waiting: list[Table] = []
     part = 0
     for table in tables:
         while len(table.stamps):
             late = table.stamps >= (part + 1) * every_s - 1e-6
             many = int(np.argmax(late)) if late.any() else len(late)
             if many:
-                joined.append(_rows(table, slice(0, many)))
+                waiting.append(_rows(table, slice(0, many)))
             table = _rows(table, slice(many, None))
             if late.any():
-                if joined:
-                    yield part * every_s, _joined(joined)
-                    joined = []
+                if waiting:
+                    yield part * every_s, _joined(waiting)
+                    waiting = []
                 part = max(part + 1, int((table.stamps[0] + 1e-6) // every_s))
-    if joined:
-        yield part * every_s, _joined(joined)
+    if waiting:
+        yield part * every_s, _joined(waiting)
 
 
 def _rows(table: Table, rows: slice) -> Table:
